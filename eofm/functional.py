@@ -1,0 +1,186 @@
+"""The functional F of the paper, its forms a and b, on the pixel grid.
+
+Eq. (def_F) is ``F(v) = 1/2 a(v, v) - b(v) + c`` with, eq. (def_a_b_c),
+
+    a(u, v) = 2 int (grad I . u)(grad I . v) + alpha grad u : grad v
+                    + beta sum_i g_sigma(x, x_i) u . v
+    b(v)    = 2 int beta sum_i g_sigma(x, x_i)(u_i - u_bg(x_i)) . v
+                    - (I_t + grad I . u_bg)(grad I . v)
+
+Functions are bilinear on the cells between pixel centres and integrals are taken with
+the trapezoidal rule in each cell: second order, and every term without derivatives of
+``u`` becomes one symmetric 2 x 2 matrix per pixel.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Pixel centres of an image: their number and their distances in px.
+
+    Attributes
+    ----------
+    shape : (height, width)
+    spacing : (h1, h2)
+        Lateral and axial distance; greater than 1 on the coarse scales.
+    """
+
+    shape: tuple[int, int]
+    spacing: tuple[float, float] = (1.0, 1.0)
+
+    @property
+    def x1(self) -> Array:
+        return np.arange(self.shape[1]) * self.spacing[0]
+
+    @property
+    def x2(self) -> Array:
+        return np.arange(self.shape[0]) * self.spacing[1]
+
+    @property
+    def weights(self) -> tuple[Array, Array]:
+        """Trapezoidal weights along x1 and along x2."""
+        w1, w2 = (np.full(n, h) for n, h in zip(self.shape[::-1], self.spacing, strict=True))
+        for w in (w1, w2):
+            w[[0, -1]] /= 2
+        return w1, w2
+
+
+@dataclass(frozen=True)
+class Pointwise:
+    """Density of a quadratic term without derivatives, ``v . A v - 2 v . b``.
+
+    Attributes
+    ----------
+    A : ndarray, shape (3, height, width)
+        The entries A11, A12, A22.
+    b : ndarray, shape (2, height, width)
+    """
+
+    A: Array
+    b: Array
+
+    def __add__(self, other: Self) -> "Pointwise":
+        return Pointwise(self.A + other.A, self.b + other.b)
+
+
+def data_term(grad_I: Array, I_t: Array, inside: NDArray[np.bool_] | None = None) -> Pointwise:
+    """Density of ``(grad I . v + I_t)^2``, off where ``inside`` is False.
+
+    With a background, pass ``I_t + grad I . u_bg`` for ``I_t``.
+    """
+    I1, I2 = grad_I if inside is None else np.where(inside, grad_I, 0.0)
+    return Pointwise(np.stack([I1 * I1, I1 * I2, I2 * I2]), -I_t * np.stack([I1, I2]))
+
+
+def speckle_term(grid: Grid, x: Array, u: Array, beta: float | Array, sigma: float) -> Pointwise:
+    """Density of ``sum_i beta_i g_sigma(x, x_i) |v - u_i|^2``, eq. (def_S_u).
+
+    Parameters
+    ----------
+    x, u : ndarray, shape (2, M)
+        Centres of the bubbles and their displacements (less the background's), px.
+    beta : float or ndarray, shape (M,)
+        One weight, or one for each bubble.
+    sigma : float
+        Standard deviation of the Gaussians, px. They are cut off at 6 sigma.
+    """
+    g = np.zeros(grid.shape)
+    gu = np.zeros((2, *grid.shape))
+    beta = np.broadcast_to(beta, x.shape[1:]) / (2 * np.pi * sigma**2)
+    for (p1, p2), motion, weight in zip(x.T, u.T, beta, strict=True):
+        window = tuple(
+            slice(*np.searchsorted(axis, [p - 6 * sigma, p + 6 * sigma]))
+            for axis, p in ((grid.x2, p2), (grid.x1, p1))
+        )
+        g1 = np.exp(-((grid.x1[window[1]] - p1) ** 2) / (2 * sigma**2))
+        g2 = np.exp(-((grid.x2[window[0]] - p2) ** 2) / (2 * sigma**2))
+        bump = weight * np.outer(g2, g1)
+        g[window] += bump
+        gu[(slice(None), *window)] += motion[:, None, None] * bump
+    return Pointwise(np.stack([g, np.zeros_like(g), g]), gu)
+
+
+@dataclass(frozen=True)
+class Quadratic:
+    """The functional on a grid: pointwise terms, smoothness, and where ``v = 0``.
+
+    Attributes
+    ----------
+    grid : Grid
+    terms : Pointwise
+        Data and speckle term.
+    alpha : float
+        Weight of the smoothness term.
+    free : ndarray of bool, shape (height, width)
+        False on the pixels of Gamma_1 and Gamma_2.
+    smoothness : {"gradient", "bending"}
+        ``R(v)``: the paper's ``int |grad v|^2``, or the integral of the squared second
+        derivatives.
+    """
+
+    grid: Grid
+    terms: Pointwise
+    alpha: float
+    free: NDArray[np.bool_]
+    smoothness: str = "gradient"
+
+    def a(self) -> sp.csr_array:
+        """Matrix of ``a`` on the free pixels, first all of v1, then all of v2."""
+        w1, w2 = self.grid.weights
+        area = np.outer(w2, w1)
+        A11, A12, A22 = (sp.diags_array((area * A).ravel()) for A in self.terms.A)
+        R = self.alpha * SMOOTHNESS[self.smoothness](self.grid)
+        keep = np.flatnonzero(np.tile(self.free.ravel(), 2))
+        return 2 * sp.block_array([[A11 + R, A12], [A12, A22 + R]], format="csr")[keep][:, keep]
+
+    def b(self) -> Array:
+        """Vector of ``b`` on the free pixels."""
+        w1, w2 = self.grid.weights
+        return 2 * (np.outer(w2, w1) * self.terms.b)[:, self.free].ravel()
+
+    def field(self, x: Array) -> Array:
+        """The field, shape (2, height, width), of a vector of free values."""
+        v = np.zeros((2, *self.grid.shape))
+        v[:, self.free] = x.reshape(2, -1)
+        return v
+
+
+def gradient_energy(grid: Grid) -> sp.coo_array:
+    """Matrix of ``int grad u . grad v`` for scalar u, v with natural boundaries."""
+    (M1, M2), (D1, D2) = _mass(grid), _differences(grid, 1)
+    return sp.kron(M2, D1) + sp.kron(D2, M1)
+
+
+def bending_energy(grid: Grid) -> sp.coo_array:
+    """Matrix of ``int sum_jk d_jk u d_jk v`` for scalar u, v with natural boundaries."""
+    (M1, M2), (D1, D2), (B1, B2) = _mass(grid), _differences(grid, 1), _differences(grid, 2)
+    return sp.kron(M2, B1) + 2 * sp.kron(D2, D1) + sp.kron(B2, M1)
+
+
+SMOOTHNESS = {"gradient": gradient_energy, "bending": bending_energy}
+
+
+def _mass(grid: Grid) -> list[sp.dia_array]:
+    return [sp.diags_array(w) for w in grid.weights]
+
+
+def _differences(grid: Grid, order: int) -> list[sp.dia_array]:
+    """One-dimensional ``int u^(order) v^(order)`` along x1 and along x2."""
+    matrices = []
+    for n, h in zip(grid.shape[::-1], grid.spacing, strict=True):
+        D = sp.eye_array(n)
+        for m in range(n, n - order, -1):
+            step = sp.diags_array(
+                [-np.ones(m - 1), np.ones(m - 1)], offsets=[0, 1], shape=(m - 1, m)
+            )
+            D = step @ D / h
+        matrices.append(h * D.T @ D)
+    return matrices

@@ -1,0 +1,13 @@
+"""Solve ``a(u, v) = b(v)`` for all v, eq. (a_b)."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.linalg import splu
+
+from eofm.functional import Quadratic
+
+
+def direct(F: Quadratic) -> NDArray[np.float64]:
+    """Minimiser of F by a sparse factorisation, shape (2, height, width)."""
+    lu = splu(F.a().tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    return F.field(lu.solve(F.b()))
