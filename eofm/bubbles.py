@@ -1,6 +1,12 @@
-"""Speckle tracking: detect large speckle formations (bubbles) and follow them."""
+"""Speckle tracking: detect large speckle formations (bubbles) and follow them.
 
-from dataclasses import dataclass
+The paper's tracker is published elsewhere; this one takes the same road. Bubbles are
+the connected components of the smoothed image above a threshold, split between the
+peaks of touching ones; they are matched one to one by distance, size and brightness,
+and each motion is refined by registering the image in a window around the bubble, so
+that bubbles which overlap or change shape are followed by what moves, not by their outline.
+"""
+
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
@@ -11,87 +17,189 @@ from skimage.feature import peak_local_max
 from skimage.measure import regionprops_table
 from skimage.segmentation import watershed
 
+from eofm.config import Tracking
+from eofm.errors import InputError
+from eofm.images import evaluate, evaluate_field, gradient, inside, normalise
+
 Array = NDArray[np.float64]
 
+# Deviations below this many px are not held against a bubble by its neighbours
+# (Westerweel and Scarano, Exp. Fluids 39, 2005, with a value for bubbles).
+AGREEMENT_FLOOR = 0.15
 
-def detect(I, smoothing=1.0, threshold=0.1, min_area=4, max_area=400):
-    smooth = ndimage.gaussian_filter(I, smoothing, mode="mirror")
-    base = np.median(smooth); 
-    base = smooth.min()
-    level = base + threshold * (np.percentile(smooth,99.5) - base)
-    peaks = peak_local_max(smooth, min_distance=1, threshold_abs=level, exclude_border=False)
-    markers = np.zeros(I.shape, int); markers[tuple(peaks.T)] = np.arange(1, len(peaks)+1)
-    labels = watershed(-smooth, markers, mask=smooth > level)
-    t = pd.DataFrame(regionprops_table(labels, smooth-level, properties=("label","area","intensity_max","centroid_weighted")))
-    t.columns = ["label","area","brightness","x2","x1"]
-    p = peaks[t.label-1]
-    t["p1"]=p[:,1].astype(float); t["p2"]=p[:,0].astype(float)
-    # quadratic log fit
-    z = np.log(np.maximum(np.pad(smooth,1,mode="reflect")-base+1e-9,1e-9))
-    for ax,name in ((1,"p1"),(0,"p2")):
-        o=[0,0]; o[ax]=1
-        c=z[p[:,0]+1,p[:,1]+1]; a=z[p[:,0]+1-o[0],p[:,1]+1-o[1]]; b=z[p[:,0]+1+o[0],p[:,1]+1+o[1]]
-        d=a-2*c+b
-        t[name]+=np.clip(np.where(d<0,.5*(a-b)/np.where(d<0,d,-1),0),-.5,.5)
-    return t[(t.area>=min_area)&(t.area<=max_area)].reset_index(drop=True)
+# The cost of leaving a bubble unmatched, in units where the gate's distance costs 1.
+UNMATCHED = 1.0
 
 
-def match(t1, t2, prediction, gate=2.0, cols=("p1","p2")):
-    x1=t1[list(cols)].to_numpy(); x2=t2[list(cols)].to_numpy()
-    pred=x1+prediction
-    near=KDTree(pred).sparse_distance_matrix(KDTree(x2), gate, output_type="coo_matrix")
-    i,j=near.row,near.col
-    cost=(near.data/gate)**2+ .5*abs(np.log(t1.brightness.to_numpy()[i]/t2.brightness.to_numpy()[j]))+.25*abs(np.log(t1.area.to_numpy()[i]/t2.area.to_numpy()[j]))
-    n,m=len(x1),len(x2)
-    ii=np.r_[i,np.arange(n)]; jj=np.r_[j,m+np.arange(n)]; cc=np.r_[cost+1e-6,np.full(n,1.0)]
-    r,c=min_weight_full_bipartite_matching(sparse.csr_array((cc,(ii,jj)),shape=(n,m+n)))
-    ok=c<m
-    return r[ok],c[ok]
+def track(
+    I1: Array,
+    I2: Array,
+    settings: Tracking = Tracking(),
+    *,
+    prediction: Array | None = None,
+) -> pd.DataFrame:
+    """Motion of the bubbles between two images.
 
-def neighbours_agree(x,d,k=8,tol=3.0,eps=.15):
-    t=KDTree(x); _,idx=t.query(x,k=min(k+1,len(x)))
-    nb=d[idx[:,1:]]
-    med=np.median(nb,axis=1)
-    r=abs(nb-med[:,None]); rm=np.median(r,axis=1)
-    return (abs(d-med)/(rm+eps)).max(1)<tol
+    Parameters
+    ----------
+    I1, I2 : ndarray, shape (height, width)
+        Images before and after compression.
+    settings : Tracking
+        What is a bubble, and what is a match.
+    prediction : ndarray, shape (2, height, width), optional
+        A displacement that is about right, px, such as the background field; without
+        it bubbles are sought where they were.
 
-def track(I1,I2,background=None,cols=("p1","p2"),gate=2.0,smoothing=1.0,threshold=.1,tol=3.):
-    t1,t2=detect(I1,smoothing,threshold),detect(I2,smoothing,threshold)
-    x=t1[list(cols)].to_numpy()
-    pred=np.zeros_like(x) if background is None else np.stack([ndimage.map_coordinates(c,x.T[::-1],order=1,mode="nearest") for c in background],1)
-    r,c=match(t1,t2,pred,gate,cols)
-    d=t2[list(cols)].to_numpy()[c]-x[r]
-    ok=neighbours_agree(x[r],d-pred[r],tol=tol)
-    return x[r][ok].T,d[ok].T
+    Returns
+    -------
+    DataFrame
+        One row per bubble: ``x1``, ``x2`` (centre of mass before compression) and ``u1``,
+        ``u2`` (displacement), px; ``area``, px^2; ``brightness``, peak above the threshold
+        with both images in [0, 1]; ``quality``, correlation of the two windows, at most 1.
+
+    Raises
+    ------
+    InputError
+        If an image is constant, no bubble is found, or none can be followed.
+    """
+    I1, I2 = normalise(I1, I2)
+    before, after = detect(I1, settings), detect(I2, settings)
+    for name, found in (("before", before), ("after", after)):
+        if found.empty:
+            raise InputError(
+                f"no bubble found in the image {name} compression; lower the threshold"
+                f" ({settings.threshold:g}) or the least area ({settings.min_area} px^2)"
+            )
+    x, y = (bubbles[["x1", "x2"]].to_numpy().T for bubbles in (before, after))
+    expected = np.zeros_like(x) if prediction is None else evaluate_field(prediction, x)
+    i, j = match(before, after, expected, settings.gate)
+    x, expected = x[:, i], expected[:, i]
+    motion, quality = register(I1, I2, x, y[:, j] - x, settings.window)
+    good = (quality >= settings.quality) & (
+        np.hypot(*(motion - expected)) <= settings.gate + settings.window
+    )
+    good[good] = agree(x[:, good], (motion - expected)[:, good], settings)
+    if not good.any():
+        raise InputError(
+            f"none of {len(before)} bubbles could be followed; raise the gate"
+            f" ({settings.gate:g} px), lower the quality ({settings.quality:g}), or give a"
+            " field that predicts the motion"
+        )
+    table = before.iloc[i].assign(u1=motion[0], u2=motion[1], quality=quality)[good]
+    return table[["x1", "x2", "u1", "u2", "area", "brightness", "quality"]].reset_index(drop=True)
 
 
-def refine(I1, I2, x, d, radius=2.0, iterations=10):
-    """Sub-pixel registration of Gaussian windows."""
-    from eofm.images import evaluate, gradient
-    n = int(np.ceil(3 * radius))
-    o = np.mgrid[-n:n+1, -n:n+1][::-1].reshape(2, 1, -1).astype(float)
-    at = x[:, :, None] + o
-    h, w = I1.shape
-    inside = lambda q: (q[0] >= 0) & (q[0] <= w-1) & (q[1] >= 0) & (q[1] <= h-1)
-    g = np.exp(-(o**2).sum(0)/(2*radius**2)) * inside(at)
-    P = evaluate(I1, at)
-    G1, G2 = gradient(I2)
-    d = d.copy()
+def detect(I: Array, settings: Tracking = Tracking()) -> pd.DataFrame:
+    """Bubbles of an image: columns x1, x2 (centre of mass), area and brightness.
+
+    The threshold is a part of the range from the 0.5th to the 99.5th percentile.
+    Bubbles that are cut by the image's edge count like any other.
+    """
+    smooth = ndimage.gaussian_filter(I, settings.smoothing, mode="mirror")
+    low, high = np.percentile(smooth, [0.5, 99.5])
+    level = low + settings.threshold * (high - low)
+    peaks = peak_local_max(smooth, threshold_abs=level, exclude_border=False)
+    markers = np.zeros(I.shape, dtype=np.int32)
+    markers[tuple(peaks.T)] = np.arange(1, len(peaks) + 1)
+    regions = watershed(-smooth, markers, mask=smooth > level)
+    table = pd.DataFrame(
+        regionprops_table(
+            regions, smooth - level, properties=("centroid_weighted", "area", "intensity_max")
+        )
+    )
+    table.columns = pd.Index(["x2", "x1", "area", "brightness"])
+    kept = table.area.between(settings.min_area, settings.max_area)
+    return table[kept].reset_index(drop=True)
+
+
+def match(
+    before: pd.DataFrame, after: pd.DataFrame, expected: Array, gate: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """One-to-one matches of least total cost: rows of ``before`` and of ``after``.
+
+    A match costs the squared distance from the ``expected`` displacement, shape (2, M),
+    in units of the gate, plus the logarithmic differences in brightness and area; a
+    bubble may stay without one (linear assignment, each bubble having a partner of its
+    own that stands for none).
+    """
+    target = before[["x1", "x2"]].to_numpy() + expected.T
+    near = KDTree(target).sparse_distance_matrix(
+        KDTree(after[["x1", "x2"]].to_numpy()), gate, output_type="coo_matrix"
+    )
+    i, j = near.row, near.col
+    change = [
+        np.abs(np.log(before[name].to_numpy()[i] / after[name].to_numpy()[j]))
+        for name in ("brightness", "area")
+    ]
+    cost = (near.data / gate) ** 2 + 0.5 * change[0] + 0.25 * change[1]
+    alone = np.arange(len(before))
+    # Explicit zeros would be dropped from the sparse matrix, so every cost is raised alike.
+    graph = sparse.csr_array(
+        (
+            1 + np.concatenate([cost, np.full(len(alone), UNMATCHED)]),
+            (np.concatenate([i, alone]), np.concatenate([j, len(after) + alone])),
+        ),
+        shape=(len(before), len(after) + len(alone)),
+    )
+    rows, columns = min_weight_full_bipartite_matching(graph)
+    matched = columns < len(after)
+    return rows[matched], columns[matched]
+
+
+def register(
+    I1: Array, I2: Array, x: Array, motion: Array, window: float, iterations: int = 10
+) -> tuple[Array, Array]:
+    """Motion of Gaussian windows by Gauss-Newton, and how well they correlate.
+
+    Minimises ``int w(y - x) |I2(y + d) - I1(y)|^2 dy`` over ``d`` for each bubble at x, with
+    w of standard deviation ``window`` px, started from ``motion`` of shape (2, M).
+
+    Returns
+    -------
+    motion : ndarray, shape (2, M)
+        In px.
+    quality : ndarray, shape (M,)
+        Weighted correlation coefficient of the two windows.
+    """
+    reach = int(np.ceil(3 * window))
+    offsets = np.mgrid[-reach : reach + 1, -reach : reach + 1][::-1].reshape(2, 1, -1)
+    y = x[:, :, None] + offsets
+    weight = np.exp(-(offsets**2).sum(0) / (2 * window**2)) * inside(I1.shape, y)
+    reference = evaluate(I1, y)
+    grad_I = gradient(I2)
     for _ in range(iterations):
-        to = at + d[:, :, None]
-        wt = g * inside(to)
-        r = evaluate(I2, to) - P
-        a, b = evaluate(G1, to), evaluate(G2, to)
-        A11, A12, A22 = (wt*a*a).sum(1), (wt*a*b).sum(1), (wt*b*b).sum(1)
-        b1, b2 = -(wt*a*r).sum(1), -(wt*b*r).sum(1)
-        lam = 1e-3*(A11+A22)+1e-12
-        A11 = A11+lam; A22=A22+lam
-        det = A11*A22-A12**2
-        s = np.stack([A22*b1-A12*b2, A11*b2-A12*b1])/det
-        d += np.clip(s, -.5, .5)
-    Q = evaluate(I2, at+d[:, :, None])
-    def c(z): 
-        z = z-(wt*z).sum(1,keepdims=True)/wt.sum(1,keepdims=True); return z
-    zp, zq = c(P), c(Q)
-    corr = (wt*zp*zq).sum(1)/np.sqrt((wt*zp**2).sum(1)*(wt*zq**2).sum(1)+1e-30)
-    return d, corr
+        moved = y + motion[:, :, None]
+        w = weight * inside(I2.shape, moved)
+        difference = evaluate(I2, moved) - reference
+        g = evaluate_field(grad_I, moved)
+        A = np.einsum("ikp,jkp,kp->kij", g, g, w)
+        # Windows with one direction of contrast only stay where they are in the other.
+        A += (1e-3 * np.trace(A, axis1=1, axis2=2) + 1e-12)[:, None, None] * np.eye(2)
+        step = -np.linalg.solve(A, np.einsum("ikp,kp->ki", g, w * difference)[..., None])
+        motion = motion + np.clip(step[..., 0].T, -0.5, 0.5)
+    moved = y + motion[:, :, None]
+    w = weight * inside(I2.shape, moved)
+    return motion, _correlation(reference, evaluate(I2, moved), w)
+
+
+def agree(x: Array, motion: Array, settings: Tracking) -> NDArray[np.bool_]:
+    """Which motions agree with their neighbours' (normalised median test).
+
+    Westerweel and Scarano, Exp. Fluids 39, 2005: the deviation from the median of the
+    neighbours, over the median of their own deviations.
+    """
+    if x.shape[1] <= settings.neighbours:
+        return np.ones(x.shape[1], dtype=bool)
+    nearest = KDTree(x.T).query(x.T, k=settings.neighbours + 1)[1][:, 1:]
+    others = motion[:, nearest]
+    median = np.median(others, axis=2)
+    spread = np.median(np.abs(others - median[..., None]), axis=2)
+    deviation = np.abs(motion - median) / (spread + AGREEMENT_FLOOR)
+    return (deviation <= settings.tolerance).all(0)
+
+
+def _correlation(p: Array, q: Array, w: Array) -> Array:
+    total = np.maximum(w.sum(1, keepdims=True), 1e-12)
+    p, q = (f - (w * f).sum(1, keepdims=True) / total for f in (p, q))
+    norms = np.sqrt((w * p**2).sum(1) * (w * q**2).sum(1))
+    return (w * p * q).sum(1) / np.maximum(norms, 1e-12)

@@ -19,6 +19,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from eofm.images import gaussians
+
 Array = NDArray[np.float64]
 
 
@@ -71,12 +73,12 @@ class Pointwise:
         return Pointwise(self.A + other.A, self.b + other.b)
 
 
-def data_term(grad_I: Array, I_t: Array, inside: NDArray[np.bool_] | None = None) -> Pointwise:
+def data_term(grad_I: Array, I_t: Array, inside: NDArray[np.bool_]) -> Pointwise:
     """Density of ``(grad I . v + I_t)^2``, off where ``inside`` is False.
 
     With a background, pass ``I_t + grad I . u_bg`` for ``I_t``.
     """
-    I1, I2 = grad_I if inside is None else np.where(inside, grad_I, 0.0)
+    I1, I2 = np.where(inside, grad_I, 0.0)
     return Pointwise(np.stack([I1 * I1, I1 * I2, I2 * I2]), -I_t * np.stack([I1, I2]))
 
 
@@ -90,22 +92,11 @@ def speckle_term(grid: Grid, x: Array, u: Array, beta: float | Array, sigma: flo
     beta : float or ndarray, shape (M,)
         One weight, or one for each bubble.
     sigma : float
-        Standard deviation of the Gaussians, px. They are cut off at 6 sigma.
+        Standard deviation of the Gaussians, px.
     """
-    g = np.zeros(grid.shape)
-    gu = np.zeros((2, *grid.shape))
-    beta = np.broadcast_to(beta, x.shape[1:]) / (2 * np.pi * sigma**2)
-    for (p1, p2), motion, weight in zip(x.T, u.T, beta, strict=True):
-        window = tuple(
-            slice(*np.searchsorted(axis, [p - 6 * sigma, p + 6 * sigma]))
-            for axis, p in ((grid.x2, p2), (grid.x1, p1))
-        )
-        g1 = np.exp(-((grid.x1[window[1]] - p1) ** 2) / (2 * sigma**2))
-        g2 = np.exp(-((grid.x2[window[0]] - p2) ** 2) / (2 * sigma**2))
-        bump = weight * np.outer(g2, g1)
-        g[window] += bump
-        gu[(slice(None), *window)] += motion[:, None, None] * bump
-    return Pointwise(np.stack([g, np.zeros_like(g), g]), gu)
+    weights = np.broadcast_to(beta, x.shape[1:]) / (2 * np.pi * sigma**2)
+    g, gu1, gu2 = gaussians(grid.x1, grid.x2, x, sigma, weights * [np.ones_like(u[0]), *u])
+    return Pointwise(np.stack([g, np.zeros_like(g), g]), np.stack([gu1, gu2]))
 
 
 @dataclass(frozen=True)

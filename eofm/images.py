@@ -7,8 +7,10 @@ grid, so that a coarser image of the same sample has the same corners.
 """
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
+
+from eofm.errors import InputError
 
 Array = NDArray[np.float64]
 
@@ -16,7 +18,9 @@ Array = NDArray[np.float64]
 ORDER = 3
 
 
-def normalise(I1: Array, I2: Array, limits: tuple[float, float] | None = None) -> tuple[Array, Array]:
+def normalise(
+    I1: Array, I2: Array, limits: tuple[float, float] | None = None
+) -> tuple[Array, Array]:
     """Map two images to [0, 1] by one affine map, so that brightness stays comparable.
 
     Parameters
@@ -28,12 +32,16 @@ def normalise(I1: Array, I2: Array, limits: tuple[float, float] | None = None) -
 
     Raises
     ------
-    ValueError
-        If there is no contrast to normalise.
+    InputError
+        If an image is constant: there is no motion to see.
     """
+    for name, I in (("before", I1), ("after", I2)):
+        if I.min() == I.max():
+            raise InputError(
+                f"the image {name} compression is constant ({I.min():g}): there is no motion"
+                " to see; check that the right file was given"
+            )
     low, high = limits or (min(I1.min(), I2.min()), max(I1.max(), I2.max()))
-    if not high > low:
-        raise ValueError(f"the images are constant (intensity {low:g}): nothing to follow")
     return (I1 - low) / (high - low), (I2 - low) / (high - low)
 
 
@@ -50,12 +58,23 @@ def gradient(I: Array, spacing: tuple[float, float] = (1.0, 1.0)) -> Array:
     return np.stack([derivative(1) / spacing[0], derivative(0) / spacing[1]])
 
 
-def evaluate(I: Array, x: Array, order: int = ORDER) -> Array:
+def evaluate(I: Array, x: Array) -> Array:
     """Values of an image at points ``x`` = (lateral, axial), shape (2, ...), in samples.
 
     Points outside the image take the value of its nearest border sample.
     """
-    return ndimage.map_coordinates(I, x[::-1], order=order, mode="nearest")
+    return ndimage.map_coordinates(I, x[::-1], order=ORDER, mode="nearest")
+
+
+def evaluate_field(u: Array, x: Array) -> Array:
+    """Both components of a field at points, shape (2, ...)."""
+    return np.stack([evaluate(c, x) for c in u])
+
+
+def inside(shape: tuple[int, int], x: Array) -> NDArray[np.bool_]:
+    """Where points, shape (2, ...), lie in an image of a shape (height, width)."""
+    height, width = shape
+    return (x[0] >= 0) & (x[0] <= width - 1) & (x[1] >= 0) & (x[1] <= height - 1)
 
 
 def warp(I: Array, u: Array) -> tuple[Array, NDArray[np.bool_]]:
@@ -65,15 +84,14 @@ def warp(I: Array, u: Array) -> tuple[Array, NDArray[np.bool_]]:
     """
     height, width = I.shape
     x = u + np.mgrid[:height, :width][::-1]
-    inside = (x >= 0).all(0) & (x[0] <= width - 1) & (x[1] <= height - 1)
-    return evaluate(I, x), inside
+    return evaluate(I, x), inside(I.shape, x)
 
 
 def resize(I: Array, shape: tuple[int, int]) -> Array:
     """Sample an image on a grid of another size with the same corners.
 
-    Coarser grids are preceded by a Gaussian whose width follows the reduction, as
-    usual in image pyramids (0.5 samples of the coarse grid less that of the fine one).
+    A coarser grid is preceded by a Gaussian that takes the blur of a pixel from 0.5
+    samples of the fine grid to 0.5 of the coarse one.
     """
     if shape == I.shape:
         return I
@@ -87,3 +105,33 @@ def resize(I: Array, shape: tuple[int, int]) -> Array:
 def resize_field(u: Array, shape: tuple[int, int]) -> Array:
     """Sample both components of a field on another grid; its unit stays the same."""
     return np.stack([resize(c, shape) for c in u])
+
+
+def gaussians(
+    x1: Array, x2: Array, centres: Array, sigma: ArrayLike, weights: Array
+) -> Array:
+    """Weighted sums of Gaussians of height 1, cut off at 6 sigma.
+
+    Parameters
+    ----------
+    x1, x2 : ndarray, shape (width,) and (height,)
+        Ascending lateral and axial positions of the samples.
+    centres : ndarray, shape (2, M)
+    sigma : float or ndarray, shape (M,)
+        Standard deviations.
+    weights : ndarray, shape (k, M)
+        The weights of k sums over the same Gaussians.
+
+    Returns
+    -------
+    ndarray, shape (k, height, width)
+    """
+    total = np.zeros((len(weights), len(x2), len(x1)))
+    widths = np.broadcast_to(sigma, centres.shape[1:])
+    for (c1, c2), s, w in zip(centres.T, widths, weights.T, strict=True):
+        columns = slice(*np.searchsorted(x1, [c1 - 6 * s, c1 + 6 * s]))
+        rows = slice(*np.searchsorted(x2, [c2 - 6 * s, c2 + 6 * s]))
+        g1 = np.exp(-((x1[columns] - c1) ** 2) / (2 * s**2))
+        g2 = np.exp(-((x2[rows] - c2) ** 2) / (2 * s**2))
+        total[:, rows, columns] += w[:, None, None] * np.outer(g2, g1)
+    return total

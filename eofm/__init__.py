@@ -1,0 +1,5 @@
+"""Elastographic optical flow: how soft samples move when they are pressed."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,13 @@
+from .bubbles import track as track
+from .config import Estimation as Estimation
+from .config import Forward as Forward
+from .config import Inclusion as Inclusion
+from .config import Phantom as Phantom
+from .config import Sample as Sample
+from .config import Tracking as Tracking
+from .elasticity import background_field as background_field
+from .elasticity import true_field as true_field
+from .errors import InputError as InputError
+from .estimate import estimate_displacement as estimate_displacement
+from .metrics import relative_errors as relative_errors
+from .phantom import make_phantom as make_phantom

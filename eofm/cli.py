@@ -1,0 +1,228 @@
+"""The command ``eofm``: one subcommand per step, options named like the settings.
+
+Imports of the steps sit inside the subcommands, so that ``--help`` is instant.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from eofm import io
+from eofm.config import Estimation, Forward, Phantom, Sample, Section, Tracking
+from eofm.errors import InputError
+
+S = TypeVar("S", bound=Section)
+
+DESCRIPTION = """\
+Displacement of soft samples between an image before and one after compression.
+
+  eofm track before.tif after.tif --output bubbles.csv
+  eofm estimate before.tif after.tif --bubbles bubbles.csv --output displacement.tif
+
+Displacements are in px: page 1 of the TIFF is lateral (to the right), page 2 axial
+(down). Each step has a --help of its own.
+"""
+
+
+def forward(args: argparse.Namespace) -> None:
+    """True displacement of a sample with its inclusions.
+
+    Linear elasticity: fixed on top, moved at the bottom, free on the sides.
+
+      eofm forward --output true.tif --compression 3 \\
+          --inclusions '{"x1": 60, "x2": 80, "radius": 20, "stiffness": 5}'
+    """
+    from eofm.elasticity import true_field
+
+    io.write_field(args.output, true_field(_settings(Sample, args), _settings(Forward, args)))
+
+
+def background(args: argparse.Namespace) -> None:
+    """Displacement of the same sample without inclusions.
+
+      eofm background --output background.tif --height 200 --width 400 --compression 3
+    """
+    from eofm.elasticity import background_field
+
+    io.write_field(args.output, background_field(_settings(Sample, args), _settings(Forward, args)))
+
+
+def phantom(args: argparse.Namespace) -> None:
+    """Images of a sample full of bubbles, before and after a displacement.
+
+      eofm phantom true.tif --reference before.tif --deformed after.tif --table true.csv
+    """
+    from eofm.phantom import make_phantom
+
+    I1, I2, bubbles = make_phantom(io.read_field(args.displacement), _settings(Phantom, args))
+    io.write_image(args.reference, I1)
+    io.write_image(args.deformed, I2)
+    io.write_table(args.table, bubbles)
+
+
+def track(args: argparse.Namespace) -> None:
+    """Follow large speckle formations (bubbles) from one image to the next.
+
+      eofm track before.tif after.tif --output bubbles.csv
+
+    The table has a row per bubble: centre x1, x2 and displacement u1, u2 in px, area,
+    brightness, and a quality of at most 1. Motions larger than the gate need a prediction,
+    such as the background field.
+    """
+    from eofm.bubbles import track
+
+    settings = _settings(Tracking, args)
+    I1, I2 = io.read_pair(args.reference, args.deformed)
+    prediction = args.prediction and io.read_field(args.prediction, I1.shape)
+    io.write_table(args.output, track(I1, I2, settings, prediction=prediction))
+
+
+def estimate(args: argparse.Namespace) -> None:
+    """Displacement between two images by elastographic optical flow.
+
+      eofm estimate before.tif after.tif --bubbles bubbles.csv --output displacement.tif
+
+    Without --bubbles there is no speckle term, without --background no background field.
+    Where the background is known to hold at the edges, say so:
+
+      eofm estimate before.tif after.tif --bubbles bubbles.csv \\
+          --background background.tif --zero-edges top bottom --output u.tif
+    """
+    from eofm.estimate import estimate_displacement
+
+    settings = _settings(Estimation, args)
+    I1, I2 = io.read_pair(args.reference, args.deformed)
+    u = estimate_displacement(
+        I1,
+        I2,
+        settings,
+        bubbles=args.bubbles and io.read_bubbles(args.bubbles),
+        background=args.background and io.read_field(args.background, I1.shape),
+        progress=True,
+    )
+    io.write_field(args.output, u)
+
+
+def evaluate(args: argparse.Namespace) -> None:
+    """Relative errors (percent) and largest errors (px) of an estimated field.
+
+      eofm evaluate displacement.tif true.tif --output errors.csv
+    """
+    import pandas as pd
+
+    from eofm.metrics import relative_errors
+
+    truth = io.read_field(args.truth)
+    found = relative_errors(io.read_field(args.estimate, truth.shape[1:]), truth)
+    io.write_table(args.output, pd.DataFrame([found]))
+    print("  ".join(f"{name} {value:.2f}" for name, value in found.items()))
+
+
+PAIR = {
+    "reference": "image before compression (greyscale TIFF)",
+    "deformed": "image after compression, of the same size",
+}
+
+# Of each step: what it reads, by position; files it may read or writes, by name (those
+# in capitals are required); its settings.
+STEPS: dict[Callable[..., None], tuple[dict[str, str], dict[str, str], list[type[Section]]]] = {
+    forward: ({}, {"OUTPUT": "field to write (TIFF)"}, [Sample, Forward]),
+    background: ({}, {"OUTPUT": "field to write (TIFF)"}, [Sample, Forward]),
+    phantom: (
+        {"displacement": "true field (TIFF)"},
+        {
+            "REFERENCE": "image before compression to write (TIFF)",
+            "DEFORMED": "image after compression to write (TIFF)",
+            "TABLE": "table of the true bubbles to write (CSV)",
+        },
+        [Phantom],
+    ),
+    track: (
+        PAIR,
+        {"OUTPUT": "table to write (CSV)", "prediction": "field that predicts the motion (TIFF)"},
+        [Tracking],
+    ),
+    estimate: (
+        PAIR,
+        {
+            "OUTPUT": "field to write (TIFF)",
+            "bubbles": "table of tracked bubbles (CSV)",
+            "background": "background field (TIFF)",
+        },
+        [Estimation],
+    ),
+    evaluate: (
+        {"estimate": "estimated field (TIFF)", "truth": "true field (TIFF)"},
+        {"OUTPUT": "table to write (CSV)"},
+        [],
+    ),
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one step; 0 if it worked, 1 if its input cannot be used, 2 for wrong usage."""
+    args = _parser().parse_args(argv)
+    try:
+        args.step(args)
+    except (InputError, OSError) as error:
+        print(f"eofm {args.step.__name__}: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    formatter = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser("eofm", description=DESCRIPTION, formatter_class=formatter)
+    steps = parser.add_subparsers(title="steps", metavar="STEP", required=True)
+    for step, (positions, files, sections) in STEPS.items():
+        summary, _, rest = (step.__doc__ or "").partition("\n")
+        text = "\n".join(line.removeprefix("    ") for line in rest.splitlines())
+        sub = steps.add_parser(
+            step.__name__, help=summary, description=summary + "\n" + text, formatter_class=formatter
+        )
+        sub.set_defaults(step=step)
+        for name, help in positions.items():
+            sub.add_argument(name, type=Path, help=help)
+        for name, help in files.items():
+            option = f"--{name.lower()}"
+            sub.add_argument(option, type=Path, metavar="FILE", required=name.isupper(), help=help)
+        for section in sections:
+            _add_options(sub.add_argument_group(section.__name__.lower()), section)
+    return parser
+
+
+def _add_options(group: argparse._ArgumentGroup, section: type[Section]) -> None:
+    for name, field in section.model_fields.items():
+        many = "tuple" in str(field.annotation)
+        default = field.get_default()
+        shown = " ".join(map(str, default)) if isinstance(default, tuple) else default
+        group.add_argument(
+            f"--{name.replace('_', '-')}",
+            metavar="VALUE",
+            nargs="*" if many else None,
+            type=_value,
+            default=argparse.SUPPRESS,
+            help=f"{field.description} (default: {'none' if shown in ('', None) else shown})",
+        )
+
+
+def _value(text: str) -> Any:
+    """A number, object or truth value as in JSON, or else the text itself."""
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError:
+        return text
+
+
+def _settings(section: type[S], args: argparse.Namespace) -> S:
+    given = {name: value for name, value in vars(args).items() if name in section.model_fields}
+    return section.parse(given, section.__name__.lower())
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,213 @@
+"""Typed settings, one model per section of ``config/config.yaml``.
+
+The defaults are the paper's experiment. Every model is also the settings argument of the
+function that uses it and, field by field, the options of its command, so that a key has
+one name, one check and one description everywhere.
+"""
+
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from eofm.errors import InputError
+
+Edge = Literal["top", "bottom", "left", "right"]
+Positive = Annotated[float, Field(gt=0)]
+Range = tuple[float, float]
+
+
+class Section(BaseModel):
+    """A group of settings; unknown keys are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @classmethod
+    def parse(cls, values: dict[str, Any], where: str) -> Self:
+        """Checked settings from plain values.
+
+        Raises
+        ------
+        InputError
+            In one line: the first value that is wrong, by name, and why.
+        """
+        try:
+            return cls.model_validate(values)
+        except ValidationError as error:
+            raise InputError(f"{where}: {_explain(error)}") from None
+
+
+def _explain(error: ValidationError) -> str:
+    first = error.errors(include_url=False)[0]
+    name = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "extra_forbidden":
+        known = {key for section in Section.__subclasses__() for key in section.model_fields}
+        close = get_close_matches(str(first["loc"][-1]), sorted(known), 1)
+        return f"unknown key {name}; " + (f"did you mean {close[0]}?" if close else "misspelt?")
+    message = first["msg"].removeprefix("Value error, ")
+    if first["type"] == "value_error":
+        return message
+    got = "" if first["type"] == "missing" else f" (got {first['input']!r})"
+    return f"{name}: {message[0].lower()}{message[1:]}{got}"
+
+
+class Inclusion(Section):
+    """A circular inclusion."""
+
+    x1: float = Field(description="lateral position of the centre, px")
+    x2: float = Field(description="axial position of the centre (down), px")
+    radius: Positive = Field(description="radius, px")
+    stiffness: Positive = Field(description="Young's modulus relative to the background")
+
+
+class Sample(Section):
+    """The sample and how it is pressed."""
+
+    height: int = Field(120, ge=8, description="rows of the image, which shows the whole sample, px")
+    width: int = Field(200, ge=8, description="columns of the image, px")
+    poisson_ratio: float = Field(0.49, gt=0, lt=0.5, description="Poisson ratio of all materials")
+    plane: Literal["strain", "stress"] = Field("strain", description="plane strain or plane stress")
+    inclusions: tuple[Inclusion, ...] = Field((), description="what differs from the background")
+    compression: float = Field(4.0, description="upward motion of the bottom, px")
+    contact: Literal["clamped", "slip"] = Field(
+        "clamped", description="whether top and bottom are held sideways or slide"
+    )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.height, self.width
+
+    @model_validator(mode="after")
+    def _compression_fits(self) -> Self:
+        if abs(self.compression) >= self.height / 2:
+            raise ValueError(
+                f"compression: {self.compression:g} px is half of the sample's height"
+                f" ({self.height} px) or more; linear elasticity does not hold there"
+            )
+        return self
+
+
+class Forward(Section):
+    """Meshes of the forward model."""
+
+    true_cell: Positive = Field(1.0, description="side of the elements for the true field, px")
+    background_cell: Positive = Field(4.0, description="the same for the background field, px")
+
+
+class Phantom(Section):
+    """The scattering images of the simulated sample."""
+
+    count: int = Field(200, ge=1, description="number of bubbles")
+    sigma: Range = Field((1.75, 1.75), description="range of their standard deviations, px")
+    brightness: Range = Field((0.2, 0.4), description="range of their peak intensities")
+    distance: float = Field(0.0, ge=0, description="least distance of two bubbles, px")
+    base: float = Field(0.0, ge=0, le=1, description="intensity between the bubbles")
+    noise: float = Field(
+        0.0, ge=0, description="standard deviation of the noise, relative to the brightest bubble"
+    )
+    seed: int = Field(1, ge=0, description="seed of positions, sizes, brightness and noise")
+
+    @model_validator(mode="after")
+    def _ranges(self) -> Self:
+        for name in ("sigma", "brightness"):
+            low, high = getattr(self, name)
+            if not 0 < low <= high:
+                raise ValueError(f"{name}: wants 0 < low <= high (got {low:g}, {high:g})")
+        return self
+
+
+class Tracking(Section):
+    """Detection and matching of bubbles."""
+
+    smoothing: float = Field(0.7, ge=0, description="Gaussian applied before detection, px")
+    threshold: float = Field(
+        0.1, gt=0, lt=1, description="least brightness, as a part of the image's range"
+    )
+    min_area: int = Field(4, ge=1, description="least area above the threshold, px^2")
+    max_area: int = Field(400, ge=1, description="largest area above the threshold, px^2")
+    gate: Positive = Field(2.5, description="largest distance from the predicted position, px")
+    window: Positive = Field(2.0, description="Gaussian window of the sub-pixel registration, px")
+    quality: float = Field(0.8, ge=-1, lt=1, description="least correlation of the two windows")
+    neighbours: int = Field(8, ge=2, description="bubbles that a motion has to agree with")
+    tolerance: Positive = Field(3.0, description="largest deviation from their median motion")
+
+
+class Estimation(Section):
+    """The functional F, eq. (def_F), and the coarse-to-fine scheme."""
+
+    alpha: Positive = Field(0.8, description="weight of the smoothness term R")
+    beta: float = Field(0.5, ge=0, description="weight of the speckle term S")
+    sigma: Positive = Field(5.0, description="width of the Gaussians g_sigma, px")
+    scales: int = Field(4, ge=1, description="scales; 1 is the paper's 'no multi-scale'")
+    factor: float = Field(0.5, gt=0, lt=1, description="ratio of the sizes of two scales")
+    warps: int = Field(1, ge=1, description="linear solves per scale, each after a warp")
+    zero_edges: tuple[Edge, ...] = Field(
+        (), description="edges with v = 0: top and bottom are Gamma_1 and Gamma_2"
+    )
+    limits: Range | None = Field(
+        None, description="intensities that become 0 and 1; none: extremes of both images"
+    )
+
+    @model_validator(mode="after")
+    def _limits_ascend(self) -> Self:
+        if self.limits and not self.limits[0] < self.limits[1]:
+            raise ValueError(f"limits: wants low < high (got {self.limits[0]:g}, {self.limits[1]:g})")
+        return self
+
+
+class Figures(Section):
+    """How the figures look."""
+
+    pixel_size: Positive = Field(5.0, description="side of a pixel, um, for the axes")
+    levels: int = Field(12, ge=2, le=50, description="number of level lines in a panel")
+    dpi: int = Field(200, ge=50, le=1200, description="resolution of the PNG files, dots per inch")
+
+
+class Variant(Section):
+    """One row of Table 1: what it changes in the estimation."""
+
+    background: bool = Field(True, description="whether the background field is used")
+    changes: dict[str, Any] = Field({}, description="settings that differ from the estimation's")
+
+
+class Config(Section):
+    """The whole experiment."""
+
+    sample: Sample = Sample()
+    forward: Forward = Forward()
+    phantom: Phantom = Phantom()
+    tracking: Tracking = Tracking()
+    estimation: Estimation = Estimation()
+    tests: dict[str, Variant] = {}
+    figures: Figures = Figures()
+
+    def variant(self, name: str) -> Estimation:
+        """Settings of one row of Table 1."""
+        values = self.estimation.model_dump() | self.tests[name].changes
+        return Estimation.parse(values, f"tests.{name}.changes")
+
+    @model_validator(mode="after")
+    def _tests_are_valid(self) -> Self:
+        for name in self.tests:
+            self.variant(name)
+        return self
+
+
+def load(path: Path) -> Config:
+    """Read and check a configuration file.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, is not YAML, or a key or value is wrong.
+    """
+    try:
+        values = yaml.safe_load(path.read_text())
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise InputError(f"{path}: cannot be read as YAML ({' '.join(str(error).split())})") from None
+    if not isinstance(values, dict):
+        raise InputError(f"{path}: holds no sections; see config/README.md")
+    return Config.parse(values, str(path))

@@ -1,0 +1,45 @@
+"""How far an estimated displacement field is from the true one."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eofm.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+def relative_errors(estimate: Array, truth: Array) -> dict[str, float]:
+    """Relative errors in percent and largest absolute errors in px.
+
+    Parameters
+    ----------
+    estimate, truth : ndarray, shape (2, height, width)
+        Displacement fields, px.
+
+    Returns
+    -------
+    dict
+        ``e_rel``, ``e_rel_u1``, ``e_rel_u2``: ``100 ||estimate - truth|| / ||truth||``
+        in L2, of both components stacked and of each; ``max_error_u1``,
+        ``max_error_u2``.
+
+    Raises
+    ------
+    InputError
+        If the true field is zero, so that no relative error exists.
+    """
+    if not truth.any():
+        raise InputError("the true field is zero everywhere: relative errors do not exist")
+
+    def relative(part: slice) -> float:
+        size = np.linalg.norm(truth[part])
+        return float(100 * np.linalg.norm((estimate - truth)[part]) / size) if size else np.nan
+
+    largest = np.abs(estimate - truth).max(axis=(1, 2))
+    return {
+        "e_rel": relative(slice(None)),
+        "e_rel_u1": relative(slice(0, 1)),
+        "e_rel_u2": relative(slice(1, 2)),
+        "max_error_u1": float(largest[0]),
+        "max_error_u2": float(largest[1]),
+    }

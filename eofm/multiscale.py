@@ -1,0 +1,79 @@
+"""Coarse to fine: one driver for any solver of a linearised flow problem."""
+
+from collections.abc import Callable
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from eofm.errors import InputError
+from eofm.functional import Grid
+from eofm.images import resize, resize_field
+
+Array = NDArray[np.float64]
+
+# Fewer samples than this along a side say nothing about a displacement.
+SMALLEST = 4
+
+
+def pyramid(shape: tuple[int, int], scales: int, factor: float) -> list[Grid]:
+    """Grids from coarse to fine that share the corners of the image.
+
+    Distances are measured in px of the finest grid on all of them, so that
+    displacements, bubbles, sigma, alpha and beta keep their values from scale to scale.
+
+    Raises
+    ------
+    InputError
+        If the image is too small for so many scales.
+    """
+    height, width = shape
+    grids = [Grid(shape)]
+    for scale in range(1, scales):
+        rows, columns = (ceil((n - 1) * factor) + 1 for n in grids[-1].shape)
+        if min(rows, columns) < SMALLEST or (rows, columns) == grids[-1].shape:
+            raise InputError(
+                f"an image of {height} x {width} px is too small for {scales} scales;"
+                f" use at most {scale} (scales) or a factor nearer 1"
+            )
+        spacing = ((width - 1) / (columns - 1), (height - 1) / (rows - 1))
+        grids.append(Grid((rows, columns), spacing))
+    return grids[::-1]
+
+
+def coarse_to_fine(
+    I1: Array,
+    I2: Array,
+    improve: Callable[[Grid, Array, Array, Array], Array],
+    *,
+    scales: int,
+    factor: float,
+    progress: bool = False,
+) -> Array:
+    """Displacement found on the coarsest grid first and improved on each finer one.
+
+    Parameters
+    ----------
+    I1, I2 : ndarray, shape (height, width)
+        Images before and after compression.
+    improve : callable
+        ``improve(grid, I1, I2, u)`` returns a better displacement than ``u`` for the
+        images sampled on ``grid``, in px of the finest grid.
+    scales : int
+        Number of grids.
+    factor : float
+        Ratio of the sizes of two grids.
+    progress : bool
+        Show a progress bar, if standard error is a terminal.
+
+    Returns
+    -------
+    ndarray, shape (2, height, width)
+    """
+    grids = pyramid((I1.shape[0], I1.shape[1]), scales, factor)
+    u = np.zeros((2, *grids[0].shape))
+    for grid in tqdm(grids, "scales", disable=None if progress else True):
+        u = resize_field(u, grid.shape)
+        u = improve(grid, resize(I1, grid.shape), resize(I2, grid.shape), u)
+    return u
