@@ -80,13 +80,13 @@ def read_field(path: Path, shape: tuple[int, ...] | None = None) -> Array:
 
 def write_image(path: Path, I: Array) -> None:
     """Write an image as float32 ImageJ TIFF."""
-    with _replacing(path) as temporary:
+    with replacing(path) as temporary:
         tifffile.imwrite(temporary, I.astype(np.float32), imagej=True)
 
 
 def write_field(path: Path, u: Array) -> None:
     """Write a field as float32 ImageJ TIFF with the pages u1 and u2, px."""
-    with _replacing(path) as temporary:
+    with replacing(path) as temporary:
         tifffile.imwrite(
             temporary,
             u.astype(np.float32),
@@ -127,7 +127,7 @@ def read_bubbles(path: Path) -> pd.DataFrame:
 
 def write_table(path: Path, table: pd.DataFrame) -> None:
     """Write a table as CSV, with six decimals."""
-    with _replacing(path) as temporary:
+    with replacing(path) as temporary:
         table.to_csv(temporary, index=False, float_format="%.6f", lineterminator="\n")
 
 
@@ -163,7 +163,7 @@ def _one_line(error: BaseException) -> str:
 
 
 @contextmanager
-def _replacing(path: Path) -> Iterator[Path]:
+def replacing(path: Path) -> Iterator[Path]:
     """A temporary file that takes the place of ``path`` once it is complete."""
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist; create it first")

@@ -4,9 +4,9 @@ Nothing of the method is searched: alpha, beta, sigma, scales, tracker and bound
 conditions stay as configured. Minimises the distance of our Table 1 from the paper's over
 the size, load, stiffness, inclusion and bubbles of the sample, by differential evolution:
 
-    python workflow/scripts/search_phantom.py --evaluations 600
+    python workflow/scripts/search_phantom.py --evaluations 600 --spread 0.3
 
-and prints the best sections for config/config.yaml. Takes about 2 s per evaluation and
+starts from the configuration and prints the best sections for config/config.yaml. Takes about 2 s per evaluation and
 seed on one core.
 """
 
@@ -66,6 +66,26 @@ def candidate(config: Config, values: np.ndarray) -> Config:
     return Config.parse(values, "candidate")
 
 
+def parameters(config: Config) -> np.ndarray:
+    """The vector of parameters of a configuration with one inclusion."""
+    sample, bubbles, disc = config.sample, config.phantom, config.sample.inclusions[0]
+    low, high = bubbles.brightness
+    values = {
+        "height": sample.height,
+        "aspect": sample.width / sample.height,
+        "compression": sample.compression,
+        "poisson_ratio": sample.poisson_ratio,
+        "stiffness": disc.stiffness,
+        "radius": disc.radius / (sample.height - 1),
+        "x1": disc.x1 / (sample.width - 1),
+        "x2": disc.x2 / (sample.height - 1),
+        "sigma": bubbles.sigma[0],
+        "brightness": (low + high) / 2,
+        "spread": (high - low) / (high + low),
+    }
+    return np.array([values[name] for name in BOUNDS])
+
+
 def table(config: Config, seed: int) -> tuple[np.ndarray, float]:
     """Errors of tests 1 to 5, shape (5, 5), and ||u1||^2 / ||u||^2."""
     u = eofm.true_field(config.sample, config.forward.model_copy(update={"true_cell": CELL}))
@@ -104,6 +124,9 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2], help="bubble seeds")
     parser.add_argument("--population", type=int, default=30)
     parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument(
+        "--spread", type=float, default=1.0, help="part of the bounds searched about the start"
+    )
     args = parser.parse_args()
     config = load(args.config)
 
@@ -112,16 +135,20 @@ def main() -> None:
         chosen = {name: best[name] for name in ("sample", "phantom")}
         print(f"# distance {intermediate_result.fun:.3f}\n{yaml.safe_dump(chosen)}", flush=True)
 
+    rng = np.random.default_rng(0)
+    bounds = np.array(list(BOUNDS.values()))
+    start = parameters(config)
+    first = rng.uniform(*bounds.T, (args.population, len(bounds)))
+    first = np.clip(start + args.spread * (first - start), *bounds.T)
+    first[0] = np.clip(start, *bounds.T)
     differential_evolution(
         lambda x: float(np.mean([distance(candidate(config, x), s) for s in args.seeds])),
-        list(BOUNDS.values()),
+        bounds,
         maxiter=max(args.evaluations // args.population - 1, 1),
-        init=np.random.default_rng(0).uniform(
-            *np.array(list(BOUNDS.values())).T, (args.population, len(BOUNDS))
-        ),
+        init=first,
         mutation=(0.3, 0.8),
         recombination=0.8,
-        rng=np.random.default_rng(0),
+        rng=rng,
         polish=False,
         callback=report,
         workers=args.workers,

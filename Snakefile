@@ -1,0 +1,23 @@
+"""The paper as a workflow: phantom, tracking, background, five tests, Table 1, figures."""
+
+from snakemake.utils import min_version
+
+min_version("9.0")
+
+
+configfile: "config/config.yaml"
+
+
+include: "workflow/rules/common.smk"
+
+
+rule all:
+    input:
+        expand("results/table1.{kind}", kind=["csv", "tex", "html"]),
+        expand("results/figures/{name}.{kind}", name=FIGURES, kind=["png", "pdf"]),
+
+
+include: "workflow/rules/phantom.smk"
+include: "workflow/rules/flow.smk"
+include: "workflow/rules/table.smk"
+include: "workflow/rules/figures.smk"

@@ -1,0 +1,147 @@
+"""Figures of images and displacement fields, as one would put them into a paper.
+
+Positions are in um, displacements in px; depth grows downwards. The colour maps are
+safe for colour-blind readers, and level lines carry the values in print.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from eofm.config import Figures
+from eofm.io import replacing
+
+Array = NDArray[np.float64]
+
+STYLE = {
+    "font.size": 8,
+    "axes.titlesize": 9,
+    "contour.linewidth": 0.5,
+    "pdf.fonttype": 42,
+    "image.interpolation": "nearest",
+}
+MAPS = ("RdBu_r", "viridis")
+COMPONENTS = ("u_1", "u_2")
+NAMES = ("lateral", "axial")
+WIDTH = 3.4  # of one panel, inches
+
+
+def image_pair(I1: Array, I2: Array, settings: Figures = Figures()) -> Figure:
+    """Images before and after compression in one grey scale, the brightest pixels cut off."""
+    low, high = np.percentile([I1, I2], [0, 99.9])
+    with mpl.rc_context(STYLE):
+        figure, axes = _panels(1, 2, I1.shape)
+        for axis, I, title in zip(axes[0], (I1, I2), ("before", "after"), strict=True):
+            shown = axis.imshow(I, "gray", vmin=low, vmax=high, extent=_extent(I.shape, settings))
+            axis.set_title(f"{title} compression")
+        _colour_bar(axes[0, 1], shown, "intensity")
+        _label(axes)
+    return figure
+
+
+def field(u: Array, settings: Figures = Figures()) -> Figure:
+    """Both components of a displacement field side by side."""
+    with mpl.rc_context(STYLE):
+        figure, axes = _panels(1, 2, u.shape[1:])
+        for i in (0, 1):
+            draw_component(axes[0, i], u[i], i, _limits(u[i], i), settings)
+        _label(axes)
+    return figure
+
+
+def field_and_error(
+    estimate: Array, truth: Array, largest: float, settings: Figures = Figures()
+) -> Figure:
+    """An estimated field (left) and its absolute error (right), u1 above u2.
+
+    The estimate is drawn on the scale of the true field, the error from 0 to
+    ``largest`` px, so that figures of several estimates compare.
+    """
+    with mpl.rc_context(STYLE):
+        figure, axes = _panels(2, 2, truth.shape[1:])
+        for i in (0, 1):
+            draw_component(axes[i, 0], estimate[i], i, _limits(truth[i], i), settings)
+            error = np.abs(estimate[i] - truth[i])
+            title = f"absolute error of ${COMPONENTS[i]}$, at most {error.max():.2f} px"
+            _draw(axes[i, 1], error, title, "magma_r", (0, largest), settings)
+        _label(axes)
+    return figure
+
+
+def draw_component(
+    axis: Axes, values: Array, i: int, limits: tuple[float, float], settings: Figures
+) -> None:
+    """Draw component ``i`` of a field with level lines."""
+    _draw(axis, values, f"{NAMES[i]} displacement ${COMPONENTS[i]}$", MAPS[i], limits, settings)
+
+
+def save(figure: Figure, paths: Sequence[Path], settings: Figures = Figures()) -> None:
+    """Write a figure to files of the kinds that their names end in, free of dates."""
+    for path in paths:
+        metadata = {"CreationDate": None} if path.suffix == ".pdf" else {}
+        with replacing(path) as temporary, mpl.rc_context(STYLE):
+            figure.savefig(temporary, dpi=settings.dpi, metadata=metadata)
+
+
+def _panels(rows: int, columns: int, shape: tuple[int, ...]) -> tuple[Figure, NDArray]:
+    height = WIDTH * 0.8 * shape[0] / shape[1] + 0.6
+    figure = Figure((columns * WIDTH, rows * height), layout="constrained")
+    return figure, figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+
+
+def _extent(shape: tuple[int, ...], settings: Figures) -> tuple[float, float, float, float]:
+    height, width = shape
+    p = settings.pixel_size
+    return (-p / 2, (width - 0.5) * p, (height - 0.5) * p, -p / 2)
+
+
+def _limits(values: Array, i: int) -> tuple[float, float]:
+    """Symmetric about zero for the lateral component, the range for the axial one."""
+    if i == 0:
+        largest = float(np.abs(values).max()) or 1.0
+        return -largest, largest
+    low, high = float(values.min()), float(values.max())
+    return (low, high) if high > low else (low - 0.5, high + 0.5)
+
+
+def _draw(
+    axis: Axes,
+    values: Array,
+    title: str,
+    colours: str,
+    limits: tuple[float, float],
+    settings: Figures,
+) -> None:
+    extent = _extent(values.shape, settings)
+    shown = axis.imshow(values, colours, vmin=limits[0], vmax=limits[1], extent=extent)
+    axis.set_title(title)
+    _colour_bar(axis, shown, "px")
+    levels = MaxNLocator(settings.levels).tick_values(*limits)
+    # Edges that are held would be level lines themselves.
+    inner, margin = values[1:-1, 1:-1], 0.02 * (limits[1] - limits[0])
+    low, high = max(limits[0] + margin, inner.min()), min(limits[1] - margin, inner.max())
+    levels = levels[(levels > low) & (levels < high)]
+    if levels.size:
+        x1, x2 = (np.arange(1, n - 1) * settings.pixel_size for n in values.shape[::-1])
+        lines = axis.contour(x1, x2, inner, levels, colors="black", linestyles="solid")
+        axis.clabel(lines, fontsize=6, fmt="%g")
+
+
+def _colour_bar(axis: Axes, shown: AxesImage, label: str) -> None:
+    """A colour bar as high as the axes."""
+    place = axis.inset_axes((1.02, 0, 0.03, 1))
+    axis.figure.colorbar(shown, cax=place, label=label, ticks=MaxNLocator(6))
+
+
+def _label(axes: NDArray) -> None:
+    for axis in axes[-1]:
+        axis.set_xlabel("lateral position [µm]")
+    for axis in axes[:, 0]:
+        axis.set_ylabel("axial position [µm]")

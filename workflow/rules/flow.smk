@@ -1,0 +1,54 @@
+"""Tracked bubbles, and the displacement fields of the five tests."""
+
+
+rule track:
+    input:
+        reference="results/phantom/reference.tif",
+        deformed="results/phantom/deformed.tif",
+        prediction="results/phantom/background.tif",
+        code=code("bubbles"),
+    output:
+        "results/bubbles.csv",
+    params:
+        options=options(settings.tracking),
+    log:
+        "logs/track.log",
+    benchmark:
+        "benchmarks/track.tsv"
+    resources:
+        mem_mb=500,
+    shell:
+        "eofm track {input.reference} {input.deformed} --prediction {input.prediction}"
+        " --output {output} {params.options} > {log} 2>&1"
+
+
+def background(wildcards):
+    used = settings.tests[wildcards.test].background
+    return ["results/phantom/background.tif"] if used else []
+
+
+rule estimate:
+    input:
+        reference="results/phantom/reference.tif",
+        deformed="results/phantom/deformed.tif",
+        bubbles="results/bubbles.csv",
+        background=background,
+        code=code("estimate"),
+    output:
+        "results/tests/{test}/displacement.tif",
+    params:
+        options=lambda wildcards: options(settings.variant(wildcards.test)),
+        background=lambda wildcards, input: (
+            f"--background {input.background}" if input.background else ""
+        ),
+    log:
+        "logs/estimate/{test}.log",
+    benchmark:
+        "benchmarks/estimate/{test}.tsv"
+    wildcard_constraints:
+        test="|".join(TESTS),
+    resources:
+        mem_mb=1000,
+    shell:
+        "eofm estimate {input.reference} {input.deformed} --bubbles {input.bubbles}"
+        " {params.background} --output {output} {params.options} > {log} 2>&1"

@@ -1,0 +1,56 @@
+"""The simulated sample: true and background field, images before and after compression."""
+
+
+rule true_field:
+    input:
+        code=code("elasticity"),
+    output:
+        "results/phantom/true.tif",
+    params:
+        options=options(settings.sample, settings.forward),
+    log:
+        "logs/true_field.log",
+    benchmark:
+        "benchmarks/true_field.tsv"
+    resources:
+        mem_mb=2000,
+    shell:
+        "eofm forward --output {output} {params.options} > {log} 2>&1"
+
+
+rule background_field:
+    input:
+        code=code("elasticity"),
+    output:
+        "results/phantom/background.tif",
+    params:
+        options=options(settings.sample, settings.forward),
+    log:
+        "logs/background_field.log",
+    benchmark:
+        "benchmarks/background_field.tsv"
+    resources:
+        mem_mb=1000,
+    shell:
+        "eofm background --output {output} {params.options} > {log} 2>&1"
+
+
+rule phantom:
+    input:
+        displacement="results/phantom/true.tif",
+        code=code("phantom"),
+    output:
+        reference="results/phantom/reference.tif",
+        deformed="results/phantom/deformed.tif",
+        table="results/phantom/bubbles.csv",
+    params:
+        options=options(settings.phantom),
+    log:
+        "logs/phantom.log",
+    benchmark:
+        "benchmarks/phantom.tsv"
+    resources:
+        mem_mb=500,
+    shell:
+        "eofm phantom {input.displacement} --reference {output.reference}"
+        " --deformed {output.deformed} --table {output.table} {params.options} > {log} 2>&1"

@@ -1,0 +1,11 @@
+"""Figure 3: the sample before and after compression."""
+
+from pathlib import Path
+
+from eofm import io
+from eofm.config import Figures
+from eofm.figures import image_pair, save
+
+settings = Figures(**snakemake.params.figures)
+pair = io.read_pair(Path(snakemake.input.reference), Path(snakemake.input.deformed))
+save(image_pair(*pair, settings), [Path(snakemake.output.png), Path(snakemake.output.pdf)], settings)

@@ -1,0 +1,11 @@
+"""Figure 4: the true displacement."""
+
+from pathlib import Path
+
+from eofm import io
+from eofm.config import Figures
+from eofm.figures import field, save
+
+settings = Figures(**snakemake.params.figures)
+truth = io.read_field(Path(snakemake.input.truth))
+save(field(truth, settings), [Path(snakemake.output.png), Path(snakemake.output.pdf)], settings)
