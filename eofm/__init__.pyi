@@ -1,5 +1,6 @@
 from .bubbles import track as track
 from .config import Estimation as Estimation
+from .config import Figures as Figures
 from .config import Forward as Forward
 from .config import Inclusion as Inclusion
 from .config import Phantom as Phantom

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 from scipy.spatial import KDTree
-from skimage.feature import peak_local_max
 from skimage.measure import regionprops_table
+from skimage.morphology import local_maxima
 from skimage.segmentation import watershed
 
 from eofm.config import Tracking
@@ -98,10 +98,9 @@ def detect(I: Array, settings: Tracking = Tracking()) -> pd.DataFrame:
     smooth = ndimage.gaussian_filter(I, settings.smoothing, mode="mirror")
     low, high = np.percentile(smooth, [0.5, 99.5])
     level = low + settings.threshold * (high - low)
-    peaks = peak_local_max(smooth, threshold_abs=level, exclude_border=False)
-    markers = np.zeros(I.shape, dtype=np.int32)
-    markers[tuple(peaks.T)] = np.arange(1, len(peaks) + 1)
-    regions = watershed(-smooth, markers, mask=smooth > level)
+    # Plateaus, as of saturated bubbles, count as one peak each.
+    peaks, _ = ndimage.label(local_maxima(smooth) & (smooth > level), np.ones((3, 3)))
+    regions = watershed(-smooth, peaks, mask=smooth > level)
     table = pd.DataFrame(
         regionprops_table(
             regions, smooth - level, properties=("centroid_weighted", "area", "intensity_max")

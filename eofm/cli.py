@@ -126,8 +126,8 @@ PAIR = {
     "deformed": "image after compression, of the same size",
 }
 
-# Of each step: what it reads, by position; files it may read or writes, by name (those
-# in capitals are required); its settings.
+# Of each step: what it reads, by position; what it writes, by name in capitals, and may
+# read, by name; its settings.
 STEPS: dict[Callable[..., None], tuple[dict[str, str], dict[str, str], list[type[Section]]]] = {
     forward: ({}, {"OUTPUT": "field to write (TIFF)"}, [Sample, Forward]),
     background: ({}, {"OUTPUT": "field to write (TIFF)"}, [Sample, Forward]),
@@ -166,6 +166,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one step; 0 if it worked, 1 if its input cannot be used, 2 for wrong usage."""
     args = _parser().parse_args(argv)
     try:
+        for output in filter(str.isupper, STEPS[args.step][1]):
+            io.check_folder(getattr(args, output.lower()))
         args.step(args)
     except (InputError, OSError) as error:
         print(f"eofm {args.step.__name__}: {error}", file=sys.stderr)

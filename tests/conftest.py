@@ -1,0 +1,47 @@
+"""Small samples that the tests share."""
+
+import numpy as np
+import pytest
+from hypothesis import settings
+
+import eofm
+
+# The same examples in every run, on machines of any speed.
+settings.register_profile("eofm", deadline=None, derandomize=True, max_examples=50)
+settings.load_profile("eofm")
+
+
+@pytest.fixture(scope="session")
+def sample():
+    """A small sample with a stiff inclusion."""
+    inclusion = eofm.Inclusion(x1=40, x2=36, radius=14, stiffness=6)
+    return eofm.Sample(height=61, width=90, poisson_ratio=0.48, compression=2.5, inclusions=(inclusion,))
+
+
+@pytest.fixture(scope="session")
+def truth(sample):
+    return eofm.true_field(sample)
+
+
+@pytest.fixture(scope="session")
+def background(sample):
+    return eofm.background_field(sample)
+
+
+@pytest.fixture(scope="session")
+def pair(truth):
+    """Images before and after, and the true bubbles."""
+    return eofm.make_phantom(truth, eofm.Phantom(count=90, seed=3))
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(0)
+
+
+def speckle(shape, rng, blur=1.5):
+    """A smooth random image in [0, 1]."""
+    from scipy import ndimage
+
+    I = ndimage.gaussian_filter(rng.normal(size=shape), blur, mode="wrap")
+    return (I - I.min()) / np.ptp(I)

@@ -1,0 +1,95 @@
+import numpy as np
+import pytest
+from conftest import speckle
+from hypothesis import given
+from hypothesis import strategies as st
+
+from eofm.errors import InputError
+from eofm.images import evaluate, gaussians, gradient, inside, normalise, resize, warp
+
+
+def test_normalise_uses_one_map_for_both(rng):
+    I1, I2 = rng.uniform(10, 20, (2, 8, 9))
+    J1, J2 = normalise(I1, I2)
+    assert min(J1.min(), J2.min()) == 0
+    assert max(J1.max(), J2.max()) == 1
+    np.testing.assert_allclose((J2 - J1) * np.ptp([I1, I2]), I2 - I1)
+
+
+@given(st.floats(-1e6, 1e6), st.sampled_from(["before", "after"]))
+def test_constant_image_is_refused_by_name(value, which):
+    images = {"before": np.eye(8), "after": np.eye(8)}
+    images[which] = np.full((8, 8), value)
+    with pytest.raises(InputError, match=f"image {which} compression is constant"):
+        normalise(images["before"], images["after"])
+
+
+def test_gradient_is_accurate_on_a_smooth_image():
+    x2, x1 = np.mgrid[:64, :80]
+    k1, k2 = 4 * np.pi / 79, 6 * np.pi / 63
+    I = np.cos(k1 * x1) * np.cos(k2 * x2)
+    exact = [-k1 * np.sin(k1 * x1) * np.cos(k2 * x2), -k2 * np.cos(k1 * x1) * np.sin(k2 * x2)]
+    np.testing.assert_allclose(gradient(I), exact, atol=1e-4)
+    np.testing.assert_allclose(gradient(I, (2, 3)) * [[[2]], [[3]]], gradient(I))
+
+
+def test_spline_gradient_beats_central_differences():
+    x2, x1 = np.mgrid[:40, :40]
+    I = np.exp(-((x1 - 19.3) ** 2 + (x2 - 20.1) ** 2) / (2 * 1.5**2))
+    exact = -(x1 - 19.3) / 1.5**2 * I
+    spline = np.linalg.norm(gradient(I)[0] - exact)
+    central = np.linalg.norm(np.gradient(I, axis=1) - exact)
+    assert spline < central / 4
+
+
+@pytest.mark.parametrize("shape", [(9, 14), (16, 16), (31, 8)])
+def test_warp_by_zero_is_the_image(shape, rng):
+    I = speckle(shape, rng)
+    warped, kept = warp(I, np.zeros((2, *shape)))
+    np.testing.assert_allclose(warped, I, atol=1e-12)
+    assert kept.all()
+
+
+def test_warp_marks_what_leaves_the_image():
+    u = np.zeros((2, 6, 10))
+    u[0] = 2.5
+    _, kept = warp(np.eye(6, 10), u)
+    assert kept[:, :7].all()
+    assert not kept[:, 7:].any()
+
+
+def test_inside_includes_the_border():
+    x = np.array([[0, 9, 9.1, -0.1], [5, 0, 0, 0]])
+    assert inside((6, 10), x).tolist() == [True, True, False, False]
+
+
+@given(st.integers(4, 20), st.integers(4, 20), st.integers(4, 20), st.integers(4, 20))
+def test_resize_keeps_corners_and_linear_functions(height, width, rows, columns):
+    x2, x1 = np.meshgrid(np.linspace(0, 1, height), np.linspace(0, 2, width), indexing="ij")
+    resized = resize(np.ones((height, width)), (rows, columns))
+    np.testing.assert_allclose(resized, 1, atol=1e-12)
+    if rows >= height and columns >= width:
+        resized = resize(x1 - x2, (rows, columns))
+        assert resized[0, 0] == pytest.approx(0, abs=1e-9)
+        assert resized[-1, -1] == pytest.approx(1, abs=1e-9)
+
+
+def test_resize_prevents_aliasing():
+    I = np.tile([0.0, 1.0], (33, 16))
+    assert np.ptp(resize(I, (17, 17))[:, 2:-2]) < 0.5
+
+
+@given(st.integers(0, 12), st.floats(0.5, 4), st.integers(0, 2**32 - 1))
+def test_gaussians_agree_with_the_dense_sum(count, sigma, seed):
+    rng = np.random.default_rng(seed)
+    centres = rng.uniform(-5, 30, (2, count))
+    weights = rng.normal(size=(2, count))
+    x1, x2 = np.arange(25) * 1.3, np.arange(18) * 0.9
+    squares = (x1[None, :, None] - centres[0]) ** 2 + (x2[:, None, None] - centres[1]) ** 2
+    dense = np.einsum("ijm,km->kij", np.exp(-squares / (2 * sigma**2)), weights)
+    np.testing.assert_allclose(gaussians(x1, x2, centres, sigma, weights), dense, atol=1e-6)
+
+
+def test_evaluate_outside_takes_the_border_value(rng):
+    I = rng.normal(size=(7, 9))
+    assert evaluate(I, np.array([[-3.0], [0.0]]))[0] == pytest.approx(I[0, 0])

@@ -1,0 +1,137 @@
+"""The whole workflow on a small configuration, in a copy of the project."""
+
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from matplotlib.image import imread
+
+PARTS = ["Snakefile", "config", "workflow", "profiles", "eofm", "tests/small.yaml"]
+JOBS = 24
+
+
+class Project:
+    """A copy of the project, whose modules may be edited."""
+
+    def __init__(self, root: Path, source: Path) -> None:
+        self.root = root
+        for part in PARTS:
+            (root / part).parent.mkdir(parents=True, exist_ok=True)
+            copy = shutil.copytree if (source / part).is_dir() else shutil.copy
+            copy(source / part, root / part)
+
+    def run(self, *words: str) -> subprocess.CompletedProcess:
+        command = [sys.executable, "-m", "snakemake", "--configfile", "config/config.yaml"]
+        return subprocess.run(
+            [*command, "tests/small.yaml", *words],
+            cwd=self.root,
+            env=os.environ | {"PYTHONPATH": str(self.root)},
+            capture_output=True,
+            text=True,
+            stdin=subprocess.DEVNULL,
+        )
+
+    def digest(self) -> dict[str, str]:
+        """Checksums of all results but pictures."""
+        files = [p for end in ("tif", "csv", "tex", "html") for p in self.root.glob(f"results/**/*.{end}")]
+        return {str(p.relative_to(self.root)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
+
+
+def reruns(result: subprocess.CompletedProcess) -> set[str]:
+    """The rules that a dry run would run."""
+    table = result.stdout.partition("Job stats:")[2].partition("total")[0].splitlines()
+    return {line.split()[0] for line in table[3:] if line.strip()}
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory, pytestconfig):
+    project = Project(tmp_path_factory.mktemp("project"), pytestconfig.rootpath)
+    result = project.run("--cores", "2")
+    assert result.returncode == 0, result.stdout + result.stderr
+    return project
+
+
+def test_table1(project):
+    table = pd.read_csv(project.root / "results/table1.csv", dtype={"test": str})
+    columns = "test alpha beta multiscale e_rel e_rel_u1 e_rel_u2 max_error_u1 max_error_u2"
+    paper = ["paper_e_rel", "paper_e_rel_u1", "paper_e_rel_u2"]
+    assert list(table.columns) == [*columns.split(), *paper]
+    assert table.test.tolist() == ["background", "1", "2", "3", "4", "5"]
+    assert table.beta.tolist()[1:] == [0.5, 0, 0, 0.5, 0.5]
+    assert table.multiscale.tolist()[1:] == ["yes", "no", "yes", "no", "yes"]
+    assert table[columns.split()[4:]].notna().all(axis=None)
+    assert table.paper_e_rel.tolist()[1:] == [19.22, 31.69, 20.92, 10.21, 6.48]
+    assert "10.21" in (project.root / "results/table1.tex").read_text()
+    assert "10.21" in (project.root / "results/table1.html").read_text()
+
+
+@pytest.mark.parametrize("name", ["figure3", "figure4", "figure5", "figure6", "figure7", "test2", "test4"])
+def test_figures(project, name):
+    assert imread(project.root / f"results/figures/{name}.png").std() > 0.05
+    assert (project.root / f"results/figures/{name}.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_a_second_run_finds_nothing_to_do(project):
+    assert "Nothing to be done" in project.run("--cores", "1").stderr
+
+
+def test_one_core_gives_the_same_bytes(project):
+    before = project.digest()
+    assert len(before) > 15
+    shutil.rmtree(project.root / "results")
+    result = project.run("--cores", "1", "results/table1.csv")
+    assert result.returncode == 0, result.stderr
+    assert project.digest() == before
+
+
+def test_dry_run_counts_the_jobs_of_a_fresh_project(tmp_path, pytestconfig):
+    result = Project(tmp_path, pytestconfig.rootpath).run("--dry-run")
+    assert result.returncode == 0, result.stderr
+    assert f"total {JOBS}" in " ".join(result.stdout.split())
+
+
+@pytest.mark.parametrize(
+    ("module", "rerun", "kept"),
+    [
+        ("bubbles", {"track", "estimate", "table1"}, {"phantom", "true_field"}),
+        ("metrics", {"evaluate", "table1"}, {"estimate", "track"}),
+        ("functional", {"estimate"}, {"track", "phantom"}),
+    ],
+)
+def test_editing_a_module_reruns_the_rules_that_use_it(project, module, rerun, kept):
+    path = project.root / "eofm" / f"{module}.py"
+    times = path.stat()
+    with path.open("a") as file:
+        file.write("\n")
+    try:
+        rules = reruns(project.run("--dry-run", "results/table1.csv"))
+    finally:
+        os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
+    assert rerun <= rules
+    assert not kept & rules
+
+
+def test_changing_a_value_reruns_what_depends_on_it(project):
+    words = ["--dry-run", "results/table1.csv", "--config", "tracking={gate: 3.0}"]
+    rules = reruns(project.run(*words))
+    assert {"track", "estimate", "evaluate", "table1"} <= rules
+    assert not {"true_field", "phantom"} & rules
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("estimation={alfa: 1}", "unknown key estimation.alfa; did you mean alpha?"),
+        ("sample={poisson_ratio: 0.5}", "sample.poisson_ratio: input should be less than 0.5"),
+    ],
+)
+def test_wrong_configuration_ends_in_one_line(project, setting, message):
+    result = project.run("--dry-run", "--config", setting)
+    assert result.returncode == 1
+    assert message in result.stderr
+    assert "Traceback" not in result.stderr
