@@ -194,7 +194,7 @@ def agree(x: Array, motion: Array, settings: Tracking) -> NDArray[np.bool_]:
     median = np.median(others, axis=2)
     spread = np.median(np.abs(others - median[..., None]), axis=2)
     deviation = np.abs(motion - median) / (spread + AGREEMENT_FLOOR)
-    return (deviation <= settings.tolerance).all(0)
+    return deviation.max(0) <= settings.tolerance
 
 
 def _correlation(p: Array, q: Array, w: Array) -> Array:

@@ -28,7 +28,7 @@ Displacements are in px: page 1 of the TIFF is lateral (to the right), page 2 ax
 
 
 def forward(args: argparse.Namespace) -> None:
-    """True displacement of a sample with its inclusions.
+    r"""True displacement of a sample with its inclusions.
 
     Linear elasticity: fixed on top, moved at the bottom, free on the sides.
 
@@ -43,7 +43,7 @@ def forward(args: argparse.Namespace) -> None:
 def background(args: argparse.Namespace) -> None:
     """Displacement of the same sample without inclusions.
 
-      eofm background --output background.tif --height 200 --width 400 --compression 3
+    eofm background --output background.tif --height 200 --width 400 --compression 3
     """
     from eofm.elasticity import background_field
 
@@ -53,7 +53,7 @@ def background(args: argparse.Namespace) -> None:
 def phantom(args: argparse.Namespace) -> None:
     """Images of a sample full of bubbles, before and after a displacement.
 
-      eofm phantom true.tif --reference before.tif --deformed after.tif --table true.csv
+    eofm phantom true.tif --reference before.tif --deformed after.tif --table true.csv
     """
     from eofm.phantom import make_phantom
 
@@ -81,7 +81,7 @@ def track(args: argparse.Namespace) -> None:
 
 
 def estimate(args: argparse.Namespace) -> None:
-    """Displacement between two images by elastographic optical flow.
+    r"""Displacement between two images by elastographic optical flow.
 
       eofm estimate before.tif after.tif --bubbles bubbles.csv --output displacement.tif
 
@@ -109,7 +109,7 @@ def estimate(args: argparse.Namespace) -> None:
 def evaluate(args: argparse.Namespace) -> None:
     """Relative errors (percent) and largest errors (px) of an estimated field.
 
-      eofm evaluate displacement.tif true.tif --output errors.csv
+    eofm evaluate displacement.tif true.tif --output errors.csv
     """
     import pandas as pd
 
@@ -185,7 +185,10 @@ def _parser() -> argparse.ArgumentParser:
         summary, _, rest = (step.__doc__ or "").partition("\n")
         text = "\n".join(line.removeprefix("    ") for line in rest.splitlines())
         sub = steps.add_parser(
-            step.__name__, help=summary, description=summary + "\n" + text, formatter_class=formatter
+            step.__name__,
+            help=summary,
+            description=summary + "\n" + text,
+            formatter_class=formatter,
         )
         sub.set_defaults(step=step)
         for name, help in positions.items():

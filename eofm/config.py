@@ -65,12 +65,14 @@ class Inclusion(Section):
 class Sample(Section):
     """The sample and how it is pressed."""
 
-    height: int = Field(120, ge=8, description="rows of the image, which shows the whole sample, px")
-    width: int = Field(200, ge=8, description="columns of the image, px")
-    poisson_ratio: float = Field(0.49, gt=0, lt=0.5, description="Poisson ratio of all materials")
+    height: int = Field(
+        107, ge=8, description="rows of the image, which shows the whole sample, px"
+    )
+    width: int = Field(178, ge=8, description="columns of the image, px")
+    poisson_ratio: float = Field(0.491, gt=0, lt=0.5, description="Poisson ratio of all materials")
     plane: Literal["strain", "stress"] = Field("strain", description="plane strain or plane stress")
     inclusions: tuple[Inclusion, ...] = Field((), description="what differs from the background")
-    compression: float = Field(4.0, description="upward motion of the bottom, px")
+    compression: float = Field(3.59, description="upward motion of the bottom, px")
     contact: Literal["clamped", "slip"] = Field(
         "clamped", description="whether top and bottom are held sideways or slide"
     )
@@ -101,8 +103,8 @@ class Phantom(Section):
     """The scattering images of the simulated sample."""
 
     count: int = Field(200, ge=1, description="number of bubbles")
-    sigma: Range = Field((1.75, 1.75), description="range of their standard deviations, px")
-    brightness: Range = Field((0.2, 0.4), description="range of their peak intensities")
+    sigma: Range = Field((1.23, 1.23), description="range of their standard deviations, px")
+    brightness: Range = Field((0.16, 0.23), description="range of their peak intensities")
     distance: float = Field(0.0, ge=0, description="least distance of two bubbles, px")
     base: float = Field(0.0, ge=0, le=1, description="intensity between the bubbles")
     noise: float = Field(
@@ -154,7 +156,9 @@ class Estimation(Section):
     @model_validator(mode="after")
     def _limits_ascend(self) -> Self:
         if self.limits and not self.limits[0] < self.limits[1]:
-            raise ValueError(f"limits: wants low < high (got {self.limits[0]:g}, {self.limits[1]:g})")
+            raise ValueError(
+                f"limits: wants low < high (got {self.limits[0]:g}, {self.limits[1]:g})"
+            )
         return self
 
 
@@ -207,7 +211,9 @@ def load(path: Path) -> Config:
     try:
         values = yaml.safe_load(path.read_text())
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise InputError(f"{path}: cannot be read as YAML ({' '.join(str(error).split())})") from None
+        raise InputError(
+            f"{path}: cannot be read as YAML ({' '.join(str(error).split())})"
+        ) from None
     if not isinstance(values, dict):
         raise InputError(f"{path}: holds no sections; see config/README.md")
     return Config.parse(values, str(path))

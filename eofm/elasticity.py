@@ -6,6 +6,8 @@ centres of the corner pixels. It is fixed on top (Gamma_1), moved by ``g`` at th
 downwards, so a compression by ``c`` px is ``g = (0, -c)``.
 """
 
+from typing import Any
+
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
@@ -101,11 +103,11 @@ def stiffness_matrix(basis: Basis, sample: Sample) -> sp.csr_array:
     """
 
     @BilinearForm
-    def shear(u, v, w):
+    def shear(u: Any, v: Any, w: Any) -> Any:
         return 2 * lame(sample, w.x)[1] * ddot(sym_grad(u), sym_grad(v))
 
     @BilinearForm
-    def volume(u, v, w):
+    def volume(u: Any, v: Any, w: Any) -> Any:
         return lame(sample, w.x)[0] * div(u) * div(v)
 
     reduced = Basis(basis.mesh, basis.elem, intorder=3)

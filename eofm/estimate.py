@@ -13,7 +13,7 @@ from eofm.solver import direct
 
 Array = NDArray[np.float64]
 
-EDGES = {
+EDGES: dict[Edge, tuple[int | slice, int | slice]] = {
     "top": np.s_[0, :],
     "bottom": np.s_[-1, :],
     "left": np.s_[:, 0],

@@ -6,6 +6,7 @@ safe for colour-blind readers, and level lines carry the values in print.
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -20,7 +21,7 @@ from eofm.io import replacing
 
 Array = NDArray[np.float64]
 
-STYLE = {
+STYLE: Any = {
     "font.size": 8,
     "axes.titlesize": 9,
     "contour.linewidth": 0.5,

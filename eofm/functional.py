@@ -40,11 +40,13 @@ class Grid:
 
     @property
     def x1(self) -> Array:
-        return np.arange(self.shape[1]) * self.spacing[0]
+        """Lateral positions of the columns, px."""
+        return self.spacing[0] * np.arange(self.shape[1], dtype=np.float64)
 
     @property
     def x2(self) -> Array:
-        return np.arange(self.shape[0]) * self.spacing[1]
+        """Axial positions of the rows, px."""
+        return self.spacing[1] * np.arange(self.shape[0], dtype=np.float64)
 
     @property
     def weights(self) -> tuple[Array, Array]:

@@ -107,9 +107,7 @@ def resize_field(u: Array, shape: tuple[int, int]) -> Array:
     return np.stack([resize(c, shape) for c in u])
 
 
-def gaussians(
-    x1: Array, x2: Array, centres: Array, sigma: ArrayLike, weights: Array
-) -> Array:
+def gaussians(x1: Array, x2: Array, centres: Array, sigma: ArrayLike, weights: Array) -> Array:
     """Weighted sums of Gaussians of height 1, cut off at 6 sigma.
 
     Parameters

@@ -5,14 +5,13 @@ image before: that would be an inverse crime.
 """
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from eofm.config import Phantom
 from eofm.errors import InputError
 from eofm.images import evaluate_field, gaussians
-
-import pandas as pd
 
 Array = NDArray[np.float64]
 
@@ -51,7 +50,7 @@ def make_phantom(u: Array, settings: Phantom = Phantom()) -> tuple[Array, Array,
     brightness = look.uniform(*settings.brightness, settings.count)
 
     def image(centres: Array) -> Array:
-        x1, x2 = np.arange(shape[1]), np.arange(shape[0])
+        x1, x2 = (np.arange(n, dtype=np.float64) for n in shape[::-1])
         I = settings.base + gaussians(x1, x2, centres, sigma, brightness[None])[0]
         return I + noise.normal(0, settings.noise * brightness.max(), shape)
 
@@ -60,9 +59,7 @@ def make_phantom(u: Array, settings: Phantom = Phantom()) -> tuple[Array, Array,
     return image(x), image(x + motion), bubbles
 
 
-def scatter(
-    shape: tuple[int, ...], count: int, distance: float, rng: np.random.Generator
-) -> Array:
+def scatter(shape: tuple[int, ...], count: int, distance: float, rng: np.random.Generator) -> Array:
     """Uniformly distributed points at least ``distance`` px apart, shape (2, count).
 
     Raises

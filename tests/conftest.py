@@ -15,7 +15,9 @@ settings.load_profile("eofm")
 def sample():
     """A small sample with a stiff inclusion."""
     inclusion = eofm.Inclusion(x1=40, x2=36, radius=14, stiffness=6)
-    return eofm.Sample(height=61, width=90, poisson_ratio=0.48, compression=2.5, inclusions=(inclusion,))
+    return eofm.Sample(
+        height=61, width=90, poisson_ratio=0.48, compression=2.5, inclusions=(inclusion,)
+    )
 
 
 @pytest.fixture(scope="session")

@@ -117,12 +117,14 @@ def test_a_motion_against_its_neighbours_is_dropped(rng):
 
 def test_no_bubble_found_says_what_to_do(rng):
     I = rng.uniform(size=(20, 20))
-    with pytest.raises(eofm.InputError, match="no bubble found in the image before.*lower"):
+    with pytest.raises(eofm.InputError, match=r"no bubble found in the image before.*lower"):
         eofm.track(I, I, eofm.Tracking(min_area=500, max_area=501))
 
 
 def test_nothing_followed_says_what_to_do():
     I1, I2 = np.zeros((2, 40, 60))
     I1[8:11, 8:11] = I2[30:33, 50:53] = 1
-    with pytest.raises(eofm.InputError, match="none of 1 bubbles could be followed; raise the gate"):
+    with pytest.raises(
+        eofm.InputError, match="none of 1 bubbles could be followed; raise the gate"
+    ):
         eofm.track(I1, I2)

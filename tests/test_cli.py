@@ -22,7 +22,15 @@ def folder(tmp_path_factory):
         ["background", "--output", f["bg.tif"], *sample],
         ["phantom", f["true.tif"], "--reference", f["a.tif"], "--deformed", f["b.tif"]]
         + ["--table", f["true.csv"], "--count", "60", "--sigma", "1.5", "2"],
-        ["track", f["a.tif"], f["b.tif"], "--prediction", f["bg.tif"], "--output", f["bubbles.csv"]],
+        [
+            "track",
+            f["a.tif"],
+            f["b.tif"],
+            "--prediction",
+            f["bg.tif"],
+            "--output",
+            f["bubbles.csv"],
+        ],
         ["estimate", f["a.tif"], f["b.tif"], "--bubbles", f["bubbles.csv"], "--output", f["u.tif"]]
         + ["--background", f["bg.tif"], "--scales", "3", "--zero-edges", "top", "bottom"],
         ["evaluate", f["u.tif"], f["true.tif"], "--output", f["errors.csv"]],
@@ -31,7 +39,7 @@ def folder(tmp_path_factory):
     return folder
 
 
-FILES = "true.tif bg.tif a.tif b.tif true.csv bubbles.csv u.tif errors.csv".split()
+FILES = ["true.tif", "bg.tif", "a.tif", "b.tif", "true.csv", "bubbles.csv", "u.tif", "errors.csv"]
 
 
 def fails(capsys, words, *parts):
@@ -73,7 +81,9 @@ def test_help_teaches_each_step(step, capsys):
     assert "px" in text
 
 
-@pytest.mark.parametrize("words", [[], ["etimate"], ["track", "a.tif"], ["track", "a", "b", "--gat", "2"]])
+@pytest.mark.parametrize(
+    "words", [[], ["etimate"], ["track", "a.tif"], ["track", "a", "b", "--gat", "2"]]
+)
 def test_wrong_usage_is_status_two(words):
     with pytest.raises(SystemExit, match="2"):
         main(words)
@@ -115,19 +125,31 @@ def test_too_small_for_the_scales(tmp_path, capsys):
 )
 def test_values_out_of_range(folder, tmp_path, capsys, words, part):
     step, *rest = words
-    fails(capsys, [step, folder / "a.tif", folder / "b.tif", "--output", tmp_path / "o", *rest], part)
+    fails(
+        capsys, [step, folder / "a.tif", folder / "b.tif", "--output", tmp_path / "o", *rest], part
+    )
 
 
 def test_unusable_fields_and_tables(folder, tmp_path, capsys):
     pair, out = [folder / "a.tif", folder / "b.tif"], ["--output", tmp_path / "o"]
-    fails(capsys, ["estimate", *pair, *out, "--background", folder / "a.tif"], "no displacement field")
-    fails(capsys, ["estimate", *pair, *out, "--bubbles", folder / "errors.csv"], "lacks the column x1")
+    fails(
+        capsys, ["estimate", *pair, *out, "--background", folder / "a.tif"], "no displacement field"
+    )
+    fails(
+        capsys, ["estimate", *pair, *out, "--bubbles", folder / "errors.csv"], "lacks the column x1"
+    )
     fails(capsys, ["estimate", *pair, *out, "--bubbles", folder / "none.csv"], "none.csv")
     fails(capsys, ["track", *pair, *out, "--prediction", folder / "a.tif"], "no displacement field")
     fails(capsys, ["evaluate", folder / "a.tif", folder / "u.tif", *out], "no displacement field")
-    fails(capsys, ["phantom", folder / "a.tif", "--reference", "r", "--deformed", "d", "--table", "t"])
+    fails(
+        capsys, ["phantom", folder / "a.tif", "--reference", "r", "--deformed", "d", "--table", "t"]
+    )
     fails(capsys, ["forward", "--output", tmp_path / "none" / "u.tif"], "does not exist")
-    fails(capsys, ["background", "--output", tmp_path / "o", "--poisson-ratio", "0.5"], "less than 0.5")
+    fails(
+        capsys,
+        ["background", "--output", tmp_path / "o", "--poisson-ratio", "0.5"],
+        "less than 0.5",
+    )
 
 
 def test_no_bubble_found(folder, tmp_path, capsys):

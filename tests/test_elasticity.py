@@ -87,8 +87,8 @@ def test_slip_plane_stress_is_uniaxial_compression():
 def test_slip_plane_strain_is_uniaxial_compression():
     sample = Sample(height=21, width=31, poisson_ratio=0.3, contact="slip", compression=1.0)
     u = displacement(sample, cell=5.0)
-    x2, x1 = np.mgrid[:21, :31]
-    np.testing.assert_allclose(u[0], 0.3 / 0.7 * (x1 - 15) / 20, atol=1e-9)
+    x1 = np.arange(31)
+    np.testing.assert_allclose(u[0], np.tile(0.3 / 0.7 * (x1 - 15) / 20, (21, 1)), atol=1e-9)
 
 
 @pytest.mark.parametrize(("height", "width"), [(20, 31), (25, 18), (16, 16)])
@@ -100,7 +100,9 @@ def test_symmetric_sample_moves_symmetrically(height, width):
 
 
 def test_no_compression_gives_zero():
-    np.testing.assert_allclose(displacement(Sample(height=12, width=15, compression=0), 3.0), 0, atol=1e-10)
+    np.testing.assert_allclose(
+        displacement(Sample(height=12, width=15, compression=0), 3.0), 0, atol=1e-10
+    )
 
 
 def test_meshes_agree(sample, truth):

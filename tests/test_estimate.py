@@ -27,7 +27,9 @@ def test_known_edges_are_kept_exactly(pair, background):
 
 def test_free_pixels_of_each_edge():
     assert free_pixels((4, 5), ()).all()
-    assert free_pixels((4, 5), ("left", "bottom")).tolist() == [[False] + 4 * [True]] * 3 + [5 * [False]]
+    assert free_pixels((4, 5), ("left", "bottom")).tolist() == [[False] + 4 * [True]] * 3 + [
+        5 * [False]
+    ]
 
 
 def test_speckle_and_background_each_bring_the_field_nearer(pair, truth, background):

@@ -123,9 +123,14 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
     path = tmp_path / "I.tif"
     io.write_image(path, np.eye(4))
     before = path.read_bytes()
-    with pytest.raises(RuntimeError), io.replacing(path) as temporary:
-        temporary.write_text("half of it")
-        raise RuntimeError
+
+    def fail_halfway():
+        with io.replacing(path) as temporary:
+            temporary.write_text("half of it")
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        fail_halfway()
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
 

@@ -57,7 +57,7 @@ def test_track_points_from_the_first_image_to_the_second():
 def test_phantom_moves_bubbles_by_the_field():
     u = np.zeros((2, 40, 56))
     u[0], u[1] = RIGHT_DOWN[:, None, None] * np.ones((40, 56))
-    before, after, bubbles = eofm.make_phantom(u, eofm.Phantom(count=1, sigma=(3, 3), seed=4))
+    _, after, bubbles = eofm.make_phantom(u, eofm.Phantom(count=1, sigma=(3, 3), seed=4))
     moved = bubbles[["x1", "x2"]].to_numpy()[0] + RIGHT_DOWN
     assert tuple(moved.round().astype(int)[::-1]) == np.unravel_index(after.argmax(), after.shape)
     np.testing.assert_allclose(bubbles[["u1", "u2"]].to_numpy()[0], RIGHT_DOWN, atol=1e-6)

@@ -38,8 +38,14 @@ class Project:
 
     def digest(self) -> dict[str, str]:
         """Checksums of all results but pictures."""
-        files = [p for end in ("tif", "csv", "tex", "html") for p in self.root.glob(f"results/**/*.{end}")]
-        return {str(p.relative_to(self.root)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
+        files = [
+            p
+            for end in ("tif", "csv", "tex", "html")
+            for p in self.root.glob(f"results/**/*.{end}")
+        ]
+        return {
+            str(p.relative_to(self.root)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files
+        }
 
 
 def reruns(result: subprocess.CompletedProcess) -> set[str]:
@@ -70,7 +76,9 @@ def test_table1(project):
     assert "10.21" in (project.root / "results/table1.html").read_text()
 
 
-@pytest.mark.parametrize("name", ["figure3", "figure4", "figure5", "figure6", "figure7", "test2", "test4"])
+@pytest.mark.parametrize(
+    "name", ["figure3", "figure4", "figure5", "figure6", "figure7", "test2", "test4"]
+)
 def test_figures(project, name):
     assert imread(project.root / f"results/figures/{name}.png").std() > 0.05
     assert (project.root / f"results/figures/{name}.pdf").read_bytes().startswith(b"%PDF")

@@ -11,7 +11,9 @@ import eofm.config
 from eofm.errors import InputError
 
 # Jobs run with this interpreter's commands, whatever the PATH of the caller.
-shell.prefix(f"set -euo pipefail; export PATH={shlex.quote(str(Path(sys.executable).parent))}:$PATH; ")
+shell.prefix(
+    f"set -euo pipefail; export PATH={shlex.quote(str(Path(sys.executable).parent))}:$PATH; "
+)
 
 try:
     settings = eofm.config.Config.parse(config, "configuration")
@@ -35,7 +37,8 @@ def code(*modules):
         queue += [
             node.module.removeprefix("eofm.")
             for node in ast.parse(path.read_text()).body
-            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("eofm.")
+            if isinstance(node, ast.ImportFrom)
+            and (node.module or "").startswith("eofm.")
         ]
     return sorted(map(str, found))
 

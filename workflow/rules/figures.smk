@@ -9,16 +9,20 @@ rule figure_sample:
         deformed="results/phantom/deformed.tif",
         code=code("figures"),
     output:
-        png=report("results/figures/figure3.png", caption="../report/figure3.rst", category="Sample"),
+        png=report(
+            "results/figures/figure3.png",
+            caption="../report/figure3.rst",
+            category="Sample",
+        ),
         pdf="results/figures/figure3.pdf",
-    params:
-        figures=settings.figures.model_dump(),
     log:
         "logs/figures/figure3.log",
     benchmark:
         "benchmarks/figures/figure3.tsv"
     resources:
         mem_mb=500,
+    params:
+        figures=settings.figures.model_dump(),
     script:
         "../scripts/figure_sample.py"
 
@@ -28,16 +32,20 @@ rule figure_truth:
         truth="results/phantom/true.tif",
         code=code("figures"),
     output:
-        png=report("results/figures/figure4.png", caption="../report/figure4.rst", category="Sample"),
+        png=report(
+            "results/figures/figure4.png",
+            caption="../report/figure4.rst",
+            category="Sample",
+        ),
         pdf="results/figures/figure4.pdf",
-    params:
-        figures=settings.figures.model_dump(),
     log:
         "logs/figures/figure4.log",
     benchmark:
         "benchmarks/figures/figure4.tsv"
     resources:
         mem_mb=500,
+    params:
+        figures=settings.figures.model_dump(),
     script:
         "../scripts/figure_truth.py"
 
@@ -50,12 +58,11 @@ rule figure_test:
         code=code("figures"),
     output:
         png=report(
-            "results/figures/{figure}.png", caption="../report/figure_test.rst", category="Tests"
+            "results/figures/{figure}.png",
+            caption="../report/figure_test.rst",
+            category="Tests",
         ),
         pdf="results/figures/{figure}.pdf",
-    params:
-        figures=settings.figures.model_dump(),
-        test=lambda wildcards: SHOWN[wildcards.figure],
     log:
         "logs/figures/{figure}.log",
     benchmark:
@@ -64,5 +71,8 @@ rule figure_test:
         figure="|".join(SHOWN),
     resources:
         mem_mb=500,
+    params:
+        figures=settings.figures.model_dump(),
+        test=lambda wildcards: SHOWN[wildcards.figure],
     script:
         "../scripts/figure_test.py"

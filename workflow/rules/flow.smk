@@ -9,22 +9,17 @@ rule track:
         code=code("bubbles"),
     output:
         "results/bubbles.csv",
-    params:
-        options=options(settings.tracking),
     log:
         "logs/track.log",
     benchmark:
         "benchmarks/track.tsv"
     resources:
         mem_mb=500,
+    params:
+        options=options(settings.tracking),
     shell:
         "eofm track {input.reference} {input.deformed} --prediction {input.prediction}"
         " --output {output} {params.options} > {log} 2>&1"
-
-
-def background(wildcards):
-    used = settings.tests[wildcards.test].background
-    return ["results/phantom/background.tif"] if used else []
 
 
 rule estimate:
@@ -32,15 +27,14 @@ rule estimate:
         reference="results/phantom/reference.tif",
         deformed="results/phantom/deformed.tif",
         bubbles="results/bubbles.csv",
-        background=background,
+        background=lambda wildcards: (
+            "results/phantom/background.tif"
+            if settings.tests[wildcards.test].background
+            else []
+        ),
         code=code("estimate"),
     output:
         "results/tests/{test}/displacement.tif",
-    params:
-        options=lambda wildcards: options(settings.variant(wildcards.test)),
-        background=lambda wildcards, input: (
-            f"--background {input.background}" if input.background else ""
-        ),
     log:
         "logs/estimate/{test}.log",
     benchmark:
@@ -49,6 +43,11 @@ rule estimate:
         test="|".join(TESTS),
     resources:
         mem_mb=1000,
+    params:
+        options=lambda wildcards: options(settings.variant(wildcards.test)),
+        background=lambda wildcards, input: (
+            f"--background {input.background}" if input.background else ""
+        ),
     shell:
         "eofm estimate {input.reference} {input.deformed} --bubbles {input.bubbles}"
         " {params.background} --output {output} {params.options} > {log} 2>&1"

@@ -6,14 +6,14 @@ rule true_field:
         code=code("elasticity"),
     output:
         "results/phantom/true.tif",
-    params:
-        options=options(settings.sample, settings.forward),
     log:
         "logs/true_field.log",
     benchmark:
         "benchmarks/true_field.tsv"
     resources:
         mem_mb=2000,
+    params:
+        options=options(settings.sample, settings.forward),
     shell:
         "eofm forward --output {output} {params.options} > {log} 2>&1"
 
@@ -23,14 +23,14 @@ rule background_field:
         code=code("elasticity"),
     output:
         "results/phantom/background.tif",
-    params:
-        options=options(settings.sample, settings.forward),
     log:
         "logs/background_field.log",
     benchmark:
         "benchmarks/background_field.tsv"
     resources:
         mem_mb=1000,
+    params:
+        options=options(settings.sample, settings.forward),
     shell:
         "eofm background --output {output} {params.options} > {log} 2>&1"
 
@@ -43,14 +43,14 @@ rule phantom:
         reference="results/phantom/reference.tif",
         deformed="results/phantom/deformed.tif",
         table="results/phantom/bubbles.csv",
-    params:
-        options=options(settings.phantom),
     log:
         "logs/phantom.log",
     benchmark:
         "benchmarks/phantom.tsv"
     resources:
         mem_mb=500,
+    params:
+        options=options(settings.phantom),
     shell:
         "eofm phantom {input.displacement} --reference {output.reference}"
         " --deformed {output.deformed} --table {output.table} {params.options} > {log} 2>&1"

@@ -1,15 +1,13 @@
 """Errors of the tests and of the background alone, and Table 1."""
 
 
-def field(wildcards):
-    if wildcards.test == "background":
-        return "results/phantom/background.tif"
-    return "results/tests/{test}/displacement.tif"
-
-
 rule evaluate:
     input:
-        estimate=field,
+        estimate=lambda wildcards: (
+            "results/phantom/background.tif"
+            if wildcards.test == "background"
+            else "results/tests/{test}/displacement.tif"
+        ),
         truth="results/phantom/true.tif",
         code=code("metrics"),
     output:
@@ -32,14 +30,16 @@ rule table1:
     output:
         csv="results/table1.csv",
         tex="results/table1.tex",
-        html=report("results/table1.html", caption="../report/table1.rst", category="Table 1"),
-    params:
-        tests={name: settings.variant(name).model_dump() for name in TESTS},
+        html=report(
+            "results/table1.html", caption="../report/table1.rst", category="Table 1"
+        ),
     log:
         "logs/table1.log",
     benchmark:
         "benchmarks/table1.tsv"
     resources:
         mem_mb=300,
+    params:
+        tests={name: settings.variant(name).model_dump() for name in TESTS},
     script:
         "../scripts/table1.py"

@@ -32,10 +32,18 @@ def _tables(model: type[Section], path: str) -> list[str]:
     for name, field in model.model_fields.items():
         section = _section(field.annotation)
         if section:
-            entry = "" if field.annotation is section else ("[]" if "tuple" in str(field.annotation) else ".NAME")
+            entry = (
+                ""
+                if field.annotation is section
+                else ("[]" if "tuple" in str(field.annotation) else ".NAME")
+            )
             inner += _tables(section, f"{path}{name}{entry}.")
         if field.description:
-            default = json.loads(json.dumps(field.get_default(), default=str)) if not field.is_required() else None
+            default = (
+                json.loads(json.dumps(field.get_default(), default=str))
+                if not field.is_required()
+                else None
+            )
             shown = "required" if field.is_required() else f"`{json.dumps(default)}`"
             lines.append(f"| `{name}` | {field.description} | {shown} |")
     if lines:

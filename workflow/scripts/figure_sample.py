@@ -8,4 +8,6 @@ from eofm.figures import image_pair, save
 
 settings = Figures(**snakemake.params.figures)
 pair = io.read_pair(Path(snakemake.input.reference), Path(snakemake.input.deformed))
-save(image_pair(*pair, settings), [Path(snakemake.output.png), Path(snakemake.output.pdf)], settings)
+save(
+    image_pair(*pair, settings), [Path(snakemake.output.png), Path(snakemake.output.pdf)], settings
+)

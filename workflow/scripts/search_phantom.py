@@ -2,12 +2,12 @@
 
 Nothing of the method is searched: alpha, beta, sigma, scales, tracker and boundary
 conditions stay as configured. Minimises the distance of our Table 1 from the paper's over
-the size, load, stiffness, inclusion and bubbles of the sample, by differential evolution:
+the size, load, stiffness, inclusion and bubbles of the sample by differential evolution:
 
     python workflow/scripts/search_phantom.py --evaluations 600 --spread 0.3
 
-starts from the configuration and prints the best sections for config/config.yaml. Takes about 2 s per evaluation and
-seed on one core.
+starts from the configuration and prints the best sections for config/config.yaml. An
+evaluation takes about 2 s per seed on one core.
 """
 
 import argparse

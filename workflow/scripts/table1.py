@@ -66,4 +66,6 @@ latex.columns = latex.columns.str.translate(
 )
 with replacing(Path(snakemake.output.tex)) as path:
     styler = latex.style.hide(axis="index").format(na_rep="--", precision=2)
-    path.write_text(styler.to_latex(hrules=True, column_format="l" + "r" * (len(latex.columns) - 1)))
+    path.write_text(
+        styler.to_latex(hrules=True, column_format="l" + "r" * (len(latex.columns) - 1))
+    )
