@@ -68,11 +68,11 @@ class Sample(Section):
     height: int = Field(
         107, ge=8, description="rows of the image, which shows the whole sample, px"
     )
-    width: int = Field(178, ge=8, description="columns of the image, px")
-    poisson_ratio: float = Field(0.491, gt=0, lt=0.5, description="Poisson ratio of all materials")
+    width: int = Field(180, ge=8, description="columns of the image, px")
+    poisson_ratio: float = Field(0.492, gt=0, lt=0.5, description="Poisson ratio of all materials")
     plane: Literal["strain", "stress"] = Field("strain", description="plane strain or plane stress")
     inclusions: tuple[Inclusion, ...] = Field((), description="what differs from the background")
-    compression: float = Field(3.59, description="upward motion of the bottom, px")
+    compression: float = Field(3.53, description="upward motion of the bottom, px")
     contact: Literal["clamped", "slip"] = Field(
         "clamped", description="whether top and bottom are held sideways or slide"
     )
@@ -104,7 +104,7 @@ class Phantom(Section):
 
     count: int = Field(200, ge=1, description="number of bubbles")
     sigma: Range = Field((1.23, 1.23), description="range of their standard deviations, px")
-    brightness: Range = Field((0.16, 0.23), description="range of their peak intensities")
+    brightness: Range = Field((0.15, 0.22), description="range of their peak intensities")
     distance: float = Field(0.0, ge=0, description="least distance of two bubbles, px")
     base: float = Field(0.0, ge=0, le=1, description="intensity between the bubbles")
     noise: float = Field(
