@@ -149,8 +149,19 @@ class Estimation(Section):
     zero_edges: tuple[Edge, ...] = Field(
         (), description="edges with v = 0: top and bottom are Gamma_1 and Gamma_2"
     )
+    edge_weight: Positive | None = Field(
+        None, description="weight of the penalty B on edges of known motion; none: exact there"
+    )
+    edge_bubbles: float = Field(
+        1.0,
+        ge=1,
+        description="factor of beta for bubbles within 2 sigma of an edge of unknown motion",
+    )
     limits: Range | None = Field(
         None, description="intensities that become 0 and 1; none: extremes of both images"
+    )
+    local_window: Positive | None = Field(
+        None, description="window of the local normalisation of brightness and contrast, px"
     )
 
     @model_validator(mode="after")

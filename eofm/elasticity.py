@@ -24,7 +24,7 @@ from skfem import (
 )
 from skfem.helpers import ddot, div, sym_grad
 
-from eofm.config import Forward, Sample
+from eofm.config import Edge, Forward, Sample
 
 Array = NDArray[np.float64]
 
@@ -55,20 +55,62 @@ def displacement(sample: Sample, cell: float) -> Array:
     ndarray, shape (2, height, width)
         ``u`` with ``-div sigma(u) = 0`` at the pixel centres, px.
     """
-    basis = make_basis(sample, cell)
+    still, moved = np.zeros((2, 1)), np.array([[0.0], [-sample.compression]])
+    return deform(sample, {"top": still, "bottom": moved}, cell=cell, slip=sample.contact == "slip")
+
+
+def deform(
+    sample: Sample,
+    motion: dict[Edge, Array],
+    *,
+    cell: float,
+    pixel_size: tuple[float, float] = (1.0, 1.0),
+    slip: bool = False,
+) -> Array:
+    """Displacement of a sample some of whose edges move in a known way.
+
+    Parameters
+    ----------
+    sample : Sample
+        Size and materials; how it is pressed is stated by ``motion``.
+    motion : dict of ndarray, shape (2, n)
+        Displacement at n points that divide an edge evenly (n = 1: constant), px.
+        The other edges are free.
+    cell : float
+        Side of the biquadratic elements, in units of a pixel's mean side.
+    pixel_size : (lateral, axial)
+        Sides of a pixel in any unit.
+    slip : bool
+        The edges named are held in u2 alone, and the middle of the first in u1.
+
+    Returns
+    -------
+    ndarray, shape (2, height, width)
+        At the pixel centres, px.
+    """
+    spacing = np.array(pixel_size) / np.sqrt(np.prod(pixel_size))
+    basis = make_basis(sample, cell, spacing)
     nodes = _components(basis)
-    x1, x2 = basis.doflocs[:, nodes[0]]
-    top, bottom = x2 == 0, x2 == sample.height - 1
+    x = basis.doflocs[:, nodes[0]] / spacing[:, None]
+    ends = {"left": (0, 0), "right": (0, sample.width - 1)}
+    ends |= {"top": (1, 0), "bottom": (1, sample.height - 1)}
     prescribed = basis.zeros()
-    prescribed[nodes[1, bottom]] = -sample.compression
-    if sample.contact == "slip":
-        held = np.flatnonzero(top)[[np.abs(x1[top] - x1.max() / 2).argmin()]]
-    else:
-        held = np.flatnonzero(top | bottom)
-    dofs = np.concatenate([nodes[0, held], nodes[1, top | bottom]])
-    K = stiffness_matrix(basis, sample)
-    u = solve(*condense(K, x=prescribed, D=dofs), solver=factorise)
-    return _on_pixels(sample.shape, np.stack([x1, x2]), u[nodes])
+    dofs: list[NDArray[np.int64]] = []
+    for edge, g in motion.items():
+        axis, end = ends[edge]
+        on = np.flatnonzero(np.isclose(x[axis], end))
+        along = x[1 - axis, on] / (sample.shape[axis] - 1)
+        for i in (0, 1):
+            at = np.linspace(0, 1, g.shape[1])
+            prescribed[nodes[i, on]] = spacing[i] * np.interp(along, at, g[i])
+        if slip:
+            middle = on[[np.abs(along - 0.5).argmin()]]
+            dofs += [nodes[1, on], *([nodes[0, middle]] if not dofs else [])]
+        else:
+            dofs += [nodes[0, on], nodes[1, on]]
+    K = stiffness_matrix(basis, sample, spacing)
+    u = solve(*condense(K, x=prescribed, D=np.unique(np.concatenate(dofs))), solver=factorise)
+    return _on_pixels(sample.shape, x, u[nodes] / spacing[:, None])
 
 
 def lame(sample: Sample, x: Array) -> tuple[Array, Array]:
@@ -88,27 +130,34 @@ def lame(sample: Sample, x: Array) -> tuple[Array, Array]:
     return E * nu / ((1 + nu) * (1 - 2 * nu)), mu
 
 
-def make_basis(sample: Sample, cell: float) -> Basis:
-    """Biquadratic vector elements on a uniform mesh with cells of about ``cell`` px."""
-    sides = [np.linspace(0, n - 1, max(1, round((n - 1) / cell)) + 1) for n in sample.shape[::-1]]
+def make_basis(sample: Sample, cell: float, spacing: Array | tuple = (1.0, 1.0)) -> Basis:
+    """Biquadratic vector elements on a uniform mesh with cells of about ``cell``.
+
+    Lengths are those of pixels with sides ``spacing`` = (lateral, axial).
+    """
+    lengths = [(n - 1) * h for n, h in zip(sample.shape[::-1], spacing, strict=True)]
+    sides = [np.linspace(0, length, max(1, round(length / cell)) + 1) for length in lengths]
     return Basis(MeshQuad.init_tensor(*sides), ElementVector(ElementQuad2()), intorder=4)
 
 
-def stiffness_matrix(basis: Basis, sample: Sample) -> sp.csr_array:
+def stiffness_matrix(
+    basis: Basis, sample: Sample, spacing: Array | tuple = (1.0, 1.0)
+) -> sp.csr_array:
     """Matrix of the form ``int 2 mu eps(u):eps(v) + lambda div(u) div(v)``.
 
     The volumetric part uses 2 x 2 Gauss points (selective reduced integration), which
     keeps biquadratic elements free of locking as nu goes to 1/2 (Malkus and Hughes,
     Comput. Methods Appl. Mech. Eng. 15, 1978).
     """
+    pixel = np.reshape(spacing, (2, 1, 1))
 
     @BilinearForm
     def shear(u: Any, v: Any, w: Any) -> Any:
-        return 2 * lame(sample, w.x)[1] * ddot(sym_grad(u), sym_grad(v))
+        return 2 * lame(sample, w.x / pixel)[1] * ddot(sym_grad(u), sym_grad(v))
 
     @BilinearForm
     def volume(u: Any, v: Any, w: Any) -> Any:
-        return lame(sample, w.x)[0] * div(u) * div(v)
+        return lame(sample, w.x / pixel)[0] * div(u) * div(v)
 
     reduced = Basis(basis.mesh, basis.elem, intorder=3)
     return shear.assemble(basis) + volume.assemble(reduced)

@@ -6,19 +6,28 @@ from numpy.typing import NDArray
 
 from eofm.config import Edge, Estimation
 from eofm.errors import InputError
-from eofm.functional import Grid, Pointwise, Quadratic, data_term, speckle_term
-from eofm.images import evaluate_field, gradient, normalise, resize_field, warp
+from eofm.functional import (
+    EDGES,
+    Grid,
+    Pointwise,
+    Quadratic,
+    data_term,
+    edge_term,
+    speckle_term,
+)
+from eofm.images import (
+    evaluate_field,
+    gradient,
+    normalise,
+    normalise_locally,
+    resize,
+    resize_field,
+    warp,
+)
 from eofm.multiscale import coarse_to_fine
 from eofm.solver import direct
 
 Array = NDArray[np.float64]
-
-EDGES: dict[Edge, tuple[int | slice, int | slice]] = {
-    "top": np.s_[0, :],
-    "bottom": np.s_[-1, :],
-    "left": np.s_[:, 0],
-    "right": np.s_[:, -1],
-}
 
 
 def estimate_displacement(
@@ -28,6 +37,9 @@ def estimate_displacement(
     *,
     bubbles: pd.DataFrame | None = None,
     background: Array | None = None,
+    edges: dict[Edge, Array] | None = None,
+    dead: NDArray[np.bool_] | None = None,
+    pixel_size: tuple[float, float] = (1.0, 1.0),
     progress: bool = False,
 ) -> Array:
     """Displacement between two images by elastographic optical flow.
@@ -43,6 +55,13 @@ def estimate_displacement(
         speckle term.
     background : ndarray, shape (2, height, width), optional
         The field u_bg of eq. (Ansatz), px; without it u_bg = 0.
+    edges : dict of ndarray, shape (2, n), optional
+        Known motion ``g`` of the n pixels of some edges, px, eq. (bdc_Dirichlet).
+    dead : ndarray of bool, shape (height, width), optional
+        Pixels before compression that carry no data.
+    pixel_size : (lateral, axial)
+        Sides of a pixel in any unit. Where they differ, smoothness and sigma are measured
+        in true lengths, in units of their geometric mean.
     progress : bool
         Show a progress bar, if standard error is a terminal.
 
@@ -56,7 +75,7 @@ def estimate_displacement(
     ------
     InputError
         If the images are constant, too small for the scales, or differ in size from
-        each other or the background.
+        each other, the background or the dead zones.
 
     Notes
     -----
@@ -65,45 +84,108 @@ def estimate_displacement(
     scale and one warp this is the paper's problem, ``I_t = I2 - I1``. Pixels that leave
     the image, ``x + u0(x)`` outside of it, carry no data.
     """
-    u_bg = np.zeros((2, *I1.shape)) if background is None else background
-    if I1.shape != I2.shape or u_bg.shape != (2, *I1.shape):
+    background = np.zeros((2, *I1.shape)) if background is None else background
+    dead = np.zeros(I1.shape, dtype=bool) if dead is None else dead
+    sizes = {I1.shape, I2.shape, background.shape[1:], dead.shape}
+    if len(sizes) > 1:
+        listed = ", ".join(" x ".join(map(str, size)) for size in sorted(sizes))
         raise InputError(
-            f"images of shapes {I1.shape} and {I2.shape} and a background of {u_bg.shape[1:]}"
-            " differ in size; crop or resample them to one"
+            f"images, background and dead zones differ in size ({listed} px);"
+            " crop or resample them to one"
         )
+    # Everything below is in true lengths, with pixels of area 1.
+    spacing = np.array(pixel_size) / np.sqrt(np.prod(pixel_size))
+    u_bg = spacing[:, None, None] * background
+    v_edges = {
+        edge: spacing[:, None] * g - u_bg[:, *EDGES[edge]] for edge, g in (edges or {}).items()
+    }
+    v_edges |= {edge: np.zeros_like(u_bg[:, *EDGES[edge]]) for edge in settings.zero_edges}
+    hard = v_edges if settings.edge_weight is None else {}
     x, motion = _bubble_arrays(bubbles)
-    motion = motion - evaluate_field(u_bg, x)
+    motion = spacing[:, None] * (motion - evaluate_field(background, x))
+    x = spacing[:, None] * x
 
     def improve(grid: Grid, I1: Array, I2: Array, u: Array) -> Array:
-        background = resize_field(u_bg, grid.shape)
-        free = free_pixels(grid.shape, settings.zero_edges)
+        u_bg_here = resize_field(u_bg, grid.shape)
+        live = resize(dead.astype(float), grid.shape) < 0.5
         grad_I = gradient(I1, grid.spacing)
-        speckle = speckle_term(grid, x, motion, settings.beta, settings.sigma)
+        prescribed, free = _prescribed(grid, hard)
+        beta = _weights(grid, x, v_edges, settings)
+        known = speckle_term(grid, x, motion, beta, settings.sigma)
+        if settings.edge_weight:
+            known += edge_term(grid, _on_edges(grid, v_edges), settings.edge_weight)
         for _ in range(settings.warps):
-            terms = speckle + _linearised(grid, I1, I2, grad_I, u, background)
-            u = background + direct(Quadratic(grid, terms, settings.alpha, free))
+            data = _linearised(grid, I1, I2, grad_I, u, u_bg_here, live)
+            F = Quadratic(grid, known + data, settings.alpha, free)
+            u = u_bg_here + prescribed + direct(F.shifted(prescribed))
         return u
 
-    I1, I2 = normalise(I1, I2, settings.limits)
-    scales, factor = settings.scales, settings.factor
-    return coarse_to_fine(I1, I2, improve, scales=scales, factor=factor, progress=progress)
+    if settings.local_window:
+        # The window is given in px of the unit above.
+        windows = settings.local_window / spacing
+        I1, I2 = (normalise_locally(I, (windows[0], windows[1])) for I in normalise(I1, I2))
+    else:
+        I1, I2 = normalise(I1, I2, settings.limits)
+    u = coarse_to_fine(
+        I1,
+        I2,
+        improve,
+        scales=settings.scales,
+        factor=settings.factor,
+        spacing=(spacing[0], spacing[1]),
+        progress=progress,
+    )
+    return u / spacing[:, None, None]
 
 
-def free_pixels(shape: tuple[int, int], zero_edges: tuple[Edge, ...]) -> NDArray[np.bool_]:
-    """Where v is sought: everywhere but on the edges with v = 0."""
-    free = np.ones(shape, dtype=bool)
-    for edge in zero_edges:
+def _prescribed(grid: Grid, edges: dict[Edge, Array]) -> tuple[Array, NDArray[np.bool_]]:
+    """A field that is ``v`` on the edges where it is prescribed, and the other pixels."""
+    p, free = np.zeros((2, *grid.shape)), np.ones(grid.shape, dtype=bool)
+    for edge, v in _on_edges(grid, edges).items():
+        p[:, *EDGES[edge]] = v
         free[EDGES[edge]] = False
-    return free
+    return p, free
+
+
+def _on_edges(grid: Grid, edges: dict[Edge, Array]) -> dict[Edge, Array]:
+    """Profiles along edges sampled on a grid; top and bottom come last and own the corners."""
+    order: tuple[Edge, ...] = ("left", "right", "top", "bottom")
+    sampled = {}
+    for edge in filter(edges.__contains__, order):
+        n = grid.shape[1] if edge in ("top", "bottom") else grid.shape[0]
+        at = np.linspace(0, edges[edge].shape[1] - 1, n)
+        sampled[edge] = np.stack([np.interp(at, np.arange(len(c)), c) for c in edges[edge]])
+    return sampled
+
+
+def _weights(
+    grid: Grid, x: Array, known: dict[Edge, Array], settings: Estimation
+) -> NDArray[np.float64]:
+    """The weights beta_i, raised near edges whose motion is not known."""
+    distance = {
+        "top": x[1],
+        "bottom": grid.x2[-1] - x[1],
+        "left": x[0],
+        "right": grid.x1[-1] - x[0],
+    }
+    near = [d < 2 * settings.sigma for edge, d in distance.items() if edge not in known]
+    factor = np.where(np.any(near, axis=0), settings.edge_bubbles, 1.0) if near else 1.0
+    return settings.beta * np.broadcast_to(factor, x.shape[1:])
 
 
 def _linearised(
-    grid: Grid, I1: Array, I2: Array, grad_I: Array, u: Array, background: Array
+    grid: Grid,
+    I1: Array,
+    I2: Array,
+    grad_I: Array,
+    u: Array,
+    u_bg: Array,
+    live: NDArray[np.bool_],
 ) -> Pointwise:
     """Data term of ``u_bg + v`` for images linearised about ``u``."""
     warped, inside = warp(I2, u / np.reshape(grid.spacing, (2, 1, 1)))
     I_t = warped - I1 - (grad_I * u).sum(0)
-    return data_term(grad_I, I_t + (grad_I * background).sum(0), inside)
+    return data_term(grad_I, I_t + (grad_I * u_bg).sum(0), inside & live)
 
 
 def _bubble_arrays(bubbles: pd.DataFrame | None) -> tuple[Array, Array]:

@@ -12,16 +12,24 @@ the trapezoidal rule in each cell: second order, and every term without derivati
 ``u`` becomes one symmetric 2 x 2 matrix per pixel.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from eofm.config import Edge
 from eofm.images import gaussians
 
 Array = NDArray[np.float64]
+
+EDGES: dict[Edge, tuple[int | slice, int | slice]] = {
+    "top": np.s_[0, :],
+    "bottom": np.s_[-1, :],
+    "left": np.s_[:, 0],
+    "right": np.s_[:, -1],
+}
 
 
 @dataclass(frozen=True)
@@ -101,6 +109,25 @@ def speckle_term(grid: Grid, x: Array, u: Array, beta: float | Array, sigma: flo
     return Pointwise(np.stack([g, np.zeros_like(g), g]), np.stack([gu1, gu2]))
 
 
+def edge_term(grid: Grid, motion: dict[Edge, Array], weight: float) -> Pointwise:
+    """Density of ``weight int |v - g|^2 dS`` over edges, eq. (def_B).
+
+    Parameters
+    ----------
+    grid : Grid
+    motion : dict of ndarray, shape (2, n)
+        ``g`` at the n pixels of each edge.
+    weight : float
+    """
+    w1, w2 = grid.weights
+    A, b = np.zeros((3, *grid.shape)), np.zeros((2, *grid.shape))
+    for edge, g in motion.items():
+        depth = w2[0] if edge in ("top", "bottom") else w1[0]
+        A[[0, 2], *EDGES[edge]] += weight / depth
+        b[:, *EDGES[edge]] += weight / depth * g
+    return Pointwise(A, b)
+
+
 @dataclass(frozen=True)
 class Quadratic:
     """The functional on a grid: pointwise terms, smoothness, and where ``v = 0``.
@@ -138,6 +165,16 @@ class Quadratic:
         """Vector of ``b`` on the free pixels."""
         w1, w2 = self.grid.weights
         return 2 * (np.outer(w2, w1) * self.terms.b)[:, self.free].ravel()
+
+    def shifted(self, p: Array) -> "Quadratic":
+        """The functional of ``w = v - p``, up to a constant, for ``v = p`` where not free."""
+        w1, w2 = self.grid.weights
+        A11, A12, A22 = self.terms.A
+        R = SMOOTHNESS[self.smoothness](self.grid)
+        smooth = [(R @ c.ravel()).reshape(self.grid.shape) / np.outer(w2, w1) for c in p]
+        a = np.stack([A11 * p[0] + A12 * p[1], A12 * p[0] + A22 * p[1]])
+        b = self.terms.b - a - self.alpha * np.stack(smooth)
+        return replace(self, terms=Pointwise(self.terms.A, b))
 
     def field(self, x: Array) -> Array:
         """The field, shape (2, height, width), of a vector of free values."""

@@ -45,6 +45,23 @@ def normalise(
     return (I1 - low) / (high - low), (I2 - low) / (high - low)
 
 
+def normalise_locally(I: Array, window: tuple[float, float]) -> Array:
+    """Remove the local mean of an image and divide by its local contrast.
+
+    For pairs whose brightness changes from place to place. Means are Gaussian averages of
+    standard deviations ``window`` = (lateral, axial), in samples. Three local standard
+    deviations fill half of [0, 1], and contrast is not raised where there is a tenth of
+    the image's or less.
+    """
+
+    def mean(J: Array) -> Array:
+        return ndimage.gaussian_filter(J, window[::-1], mode="mirror")
+
+    deviation = I - mean(I)
+    contrast = np.sqrt(mean(deviation**2) + (0.1 * I.std()) ** 2)
+    return 0.5 + deviation / (6 * contrast)
+
+
 def gradient(I: Array, spacing: tuple[float, float] = (1.0, 1.0)) -> Array:
     """Gradient of the cubic spline through an image, shape (2, height, width).
 

@@ -17,11 +17,17 @@ Array = NDArray[np.float64]
 SMALLEST = 4
 
 
-def pyramid(shape: tuple[int, int], scales: int, factor: float) -> list[Grid]:
+def pyramid(
+    shape: tuple[int, int],
+    scales: int,
+    factor: float,
+    spacing: tuple[float, float] = (1.0, 1.0),
+) -> list[Grid]:
     """Grids from coarse to fine that share the corners of the image.
 
-    Distances are measured in px of the finest grid on all of them, so that
-    displacements, bubbles, sigma, alpha and beta keep their values from scale to scale.
+    Distances are measured in the same unit on all of them, in which ``spacing`` is that of
+    the finest grid, so that displacements, bubbles, sigma, alpha and beta keep their
+    values from scale to scale.
 
     Raises
     ------
@@ -29,7 +35,7 @@ def pyramid(shape: tuple[int, int], scales: int, factor: float) -> list[Grid]:
         If the image is too small for so many scales.
     """
     height, width = shape
-    grids = [Grid(shape)]
+    grids = [Grid(shape, spacing)]
     for scale in range(1, scales):
         rows, columns = (ceil((n - 1) * factor) + 1 for n in grids[-1].shape)
         if min(rows, columns) < SMALLEST or (rows, columns) == grids[-1].shape:
@@ -37,8 +43,9 @@ def pyramid(shape: tuple[int, int], scales: int, factor: float) -> list[Grid]:
                 f"an image of {height} x {width} px is too small for {scales} scales;"
                 f" use at most {scale} (scales) or a factor nearer 1"
             )
-        spacing = ((width - 1) / (columns - 1), (height - 1) / (rows - 1))
-        grids.append(Grid((rows, columns), spacing))
+        coarser = (width - 1) / (columns - 1), (height - 1) / (rows - 1)
+        h1, h2 = (h * c for h, c in zip(spacing, coarser, strict=True))
+        grids.append(Grid((rows, columns), (h1, h2)))
     return grids[::-1]
 
 
@@ -49,6 +56,7 @@ def coarse_to_fine(
     *,
     scales: int,
     factor: float,
+    spacing: tuple[float, float] = (1.0, 1.0),
     progress: bool = False,
 ) -> Array:
     """Displacement found on the coarsest grid first and improved on each finer one.
@@ -59,19 +67,22 @@ def coarse_to_fine(
         Images before and after compression.
     improve : callable
         ``improve(grid, I1, I2, u)`` returns a better displacement than ``u`` for the
-        images sampled on ``grid``, in px of the finest grid.
+        images sampled on ``grid``, in the unit of its spacing.
     scales : int
         Number of grids.
     factor : float
         Ratio of the sizes of two grids.
+    spacing : (h1, h2)
+        Lateral and axial distance of the pixels.
     progress : bool
         Show a progress bar, if standard error is a terminal.
 
     Returns
     -------
     ndarray, shape (2, height, width)
+        In the unit of ``spacing``.
     """
-    grids = pyramid((I1.shape[0], I1.shape[1]), scales, factor)
+    grids = pyramid((I1.shape[0], I1.shape[1]), scales, factor, spacing)
     u = np.zeros((2, *grids[0].shape))
     for grid in tqdm(grids, "scales", disable=None if progress else True):
         u = resize_field(u, grid.shape)

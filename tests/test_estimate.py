@@ -3,7 +3,6 @@ import pytest
 from conftest import speckle
 
 import eofm
-from eofm.estimate import free_pixels
 from eofm.images import evaluate, inside
 
 EDGES = ("top", "bottom")
@@ -23,13 +22,6 @@ def test_known_edges_are_kept_exactly(pair, background):
     settings = eofm.Estimation(zero_edges=EDGES)
     u = eofm.estimate_displacement(I1, I2, settings, bubbles=bubbles, background=background)
     np.testing.assert_allclose(u[:, [0, -1]], background[:, [0, -1]], atol=1e-12)
-
-
-def test_free_pixels_of_each_edge():
-    assert free_pixels((4, 5), ()).all()
-    assert free_pixels((4, 5), ("left", "bottom")).tolist() == [[False] + 4 * [True]] * 3 + [
-        5 * [False]
-    ]
 
 
 def test_speckle_and_background_each_bring_the_field_nearer(pair, truth, background):
