@@ -7,11 +7,12 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
 
 from eofm import io
-from eofm.config import Estimation, Forward, Phantom, Sample, Section, Tracking
+from eofm.config import Estimation, Forward, Pair, Phantom, Sample, Section, Tracking
 from eofm.errors import InputError
 
 S = TypeVar("S", bound=Section)
@@ -121,6 +122,27 @@ def evaluate(args: argparse.Namespace) -> None:
     print("  ".join(f"{name} {value:.2f}" for name, value in found.items()))
 
 
+def sample(args: argparse.Namespace) -> None:
+    r"""Everything for one pair of images: displacement, strain, quality, figures.
+
+      eofm sample --reference before.tif --deformed after.tif --output results/mine \
+          --lateral-size 3.9 --axial-size 6 --top fixed --bottom 'moved 0 -30 um' \
+          --background elastic --poisson-ratio 0.48
+
+    Writes displacement.tif (px) and displacement_um.tif, strain.tif, bubbles.csv,
+    summary.json and four figures. Edges of which nothing is said are free. Settings may
+    come from a file (YAML, names as the options') where they are many; options win.
+    """
+    from eofm.pairs import analyse
+    from eofm.report import write_results
+
+    given = io.read_settings(args.settings) if args.settings else {}
+    pair, tracking, estimation = _sections([Pair, Tracking, Estimation], given, args)
+    results = analyse(pair, tracking, estimation, progress=True)
+    args.output.mkdir(exist_ok=True)
+    write_results(results, pair, args.output)
+
+
 PAIR = {
     "reference": "image before compression (greyscale TIFF)",
     "deformed": "image after compression, of the same size",
@@ -153,6 +175,11 @@ STEPS: dict[Callable[..., None], tuple[dict[str, str], dict[str, str], list[type
             "background": "background field (TIFF)",
         },
         [Estimation],
+    ),
+    sample: (
+        {},
+        {"OUTPUT": "folder to write the results to", "settings": "file of settings (YAML)"},
+        [Pair, Tracking, Estimation],
     ),
     evaluate: (
         {"estimate": "estimated field (TIFF)", "truth": "true field (TIFF)"},
@@ -227,6 +254,24 @@ def _value(text: str) -> Any:
 def _settings(section: type[S], args: argparse.Namespace) -> S:
     given = {name: value for name, value in vars(args).items() if name in section.model_fields}
     return section.parse(given, section.__name__.lower())
+
+
+def _sections(
+    sections: list[type[Section]], given: dict[str, Any], args: argparse.Namespace
+) -> list[Any]:
+    """Settings whose names do not clash, from a file and from options; options win."""
+    known = {name for section in sections for name in section.model_fields}
+    given = given | {name: value for name, value in vars(args).items() if name in known}
+    for name in given.keys() - known:
+        close = get_close_matches(name, sorted(known), 1)
+        hint = f"; did you mean {close[0]}?" if close else ""
+        raise InputError(f"{args.settings}: unknown key {name}{hint}")
+    return [
+        section.parse(
+            {k: v for k, v in given.items() if k in section.model_fields}, args.output.name
+        )
+        for section in sections
+    ]
 
 
 if __name__ == "__main__":

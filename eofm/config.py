@@ -9,14 +9,21 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from eofm.errors import InputError
+from eofm.io import read_settings
 
 Edge = Literal["top", "bottom", "left", "right"]
 Positive = Annotated[float, Field(gt=0)]
 Range = tuple[float, float]
+Region = tuple[int, int, int, int]
+
+EDGE_WORDS = (
+    "free; fixed; moved U1 U2 (px, or um if the word um follows); moved FILE (a table of u1, u2"
+    " in px, a row per pixel); outside (of the image, no condition), which may be followed by"
+    " what holds there for the elastic background"
+)
 
 
 class Section(BaseModel):
@@ -173,10 +180,67 @@ class Estimation(Section):
         return self
 
 
+class Pair(Section):
+    """A pair of images, or a sequence, and what is known of the sample."""
+
+    reference: str | None = Field(
+        None,
+        description="image before compression: TIFF, PNG, NumPy or MATLAB;"
+        " FILE#3 is page 3 of a stack, FILE#name a variable",
+    )
+    deformed: str | None = Field(None, description="image after compression")
+    frames: str | None = Field(
+        None, description="instead of both: a stack of frames; edges move by this much in each step"
+    )
+    intensity: Literal["linear", "log"] = Field(
+        "linear", description="use the values as they are, or their logarithm"
+    )
+    roi: Region | None = Field(
+        None, description="region of interest: x1, x2, width and height, px; none: all"
+    )
+    mask: str | None = Field(
+        None,
+        description="dead zones without data: an image that is not 0 there, or the corners"
+        " of a polygon, 'x1,x2 x1,x2 x1,x2', px of the whole image",
+    )
+    lateral_size: Positive = Field(1.0, description="width of a pixel, um")
+    axial_size: Positive = Field(1.0, description="height of a pixel, um")
+    top: str = Field("free", description=EDGE_WORDS)
+    bottom: str = Field("free", description="the same")
+    left: str = Field("free", description="the same")
+    right: str = Field("free", description="the same")
+    background: str = Field(
+        "none", description="none, elastic (of a homogeneous sample), or a field in px (TIFF)"
+    )
+    extent: Region | None = Field(
+        None, description="the whole sample in px of the image, may reach beyond it; none: the roi"
+    )
+    poisson_ratio: float = Field(0.49, gt=0, lt=0.5, description="of the elastic background")
+    plane: Literal["strain", "stress"] = Field("strain", description="of the elastic background")
+    strain_window: Positive | None = Field(
+        None, description="Gaussian window of the strain's local linear fits, um; none: 3 px"
+    )
+
+    @property
+    def pixel_size(self) -> tuple[float, float]:
+        """Lateral and axial side of a pixel, um."""
+        return self.lateral_size, self.axial_size
+
+    @model_validator(mode="after")
+    def _has_images(self) -> Self:
+        if (self.reference is None) != (self.deformed is None):
+            raise ValueError("reference and deformed: give both, or frames instead")
+        if (self.reference is None) == (self.frames is None):
+            raise ValueError("reference: wants reference and deformed, or frames, not both")
+        if self.roi and min(self.roi[2:]) < 8:
+            raise ValueError(f"roi: is {self.roi[2]} x {self.roi[3]} px; wants at least 8 x 8 px")
+        return self
+
+
 class Figures(Section):
     """How the figures look."""
 
-    pixel_size: Positive = Field(5.0, description="side of a pixel, um, for the axes")
+    pixel_size: Range = Field((5.0, 5.0), description="lateral and axial side of a pixel, um")
     levels: int = Field(12, ge=2, le=50, description="number of level lines in a panel")
     dpi: int = Field(200, ge=50, le=1200, description="resolution of the PNG files, dots per inch")
 
@@ -219,12 +283,4 @@ def load(path: Path) -> Config:
     InputError
         If the file is missing, is not YAML, or a key or value is wrong.
     """
-    try:
-        values = yaml.safe_load(path.read_text())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise InputError(
-            f"{path}: cannot be read as YAML ({' '.join(str(error).split())})"
-        ) from None
-    if not isinstance(values, dict):
-        raise InputError(f"{path}: holds no sections; see config/README.md")
-    return Config.parse(values, str(path))
+    return Config.parse(read_settings(path), str(path))

@@ -10,6 +10,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
@@ -34,14 +35,21 @@ NAMES = ("lateral", "axial")
 WIDTH = 3.4  # of one panel, inches
 
 
-def image_pair(I1: Array, I2: Array, settings: Figures = Figures()) -> Figure:
-    """Images before and after compression in one grey scale, the brightest pixels cut off."""
+def image_pair(
+    I1: Array, I2: Array, settings: Figures = Figures(), bubbles: pd.DataFrame | None = None
+) -> Figure:
+    """Images before and after compression in one grey scale, the brightest pixels cut off.
+
+    With ``bubbles``, red arrows show their motion at its true length, as in Figure 1.
+    """
     low, high = np.percentile([I1, I2], [0, 99.9])
     with mpl.rc_context(STYLE):
-        figure, axes = _panels(1, 2, I1.shape)
+        figure, axes = _panels(1, 2, I1.shape, settings)
         for axis, I, title in zip(axes[0], (I1, I2), ("before", "after"), strict=True):
             shown = axis.imshow(I, "gray", vmin=low, vmax=high, extent=_extent(I.shape, settings))
             axis.set_title(f"{title} compression")
+            if bubbles is not None:
+                _arrows(axis, bubbles, settings)
         _colour_bar(axes[0, 1], shown, "intensity")
         _label(axes)
     return figure
@@ -50,7 +58,7 @@ def image_pair(I1: Array, I2: Array, settings: Figures = Figures()) -> Figure:
 def field(u: Array, settings: Figures = Figures()) -> Figure:
     """Both components of a displacement field side by side."""
     with mpl.rc_context(STYLE):
-        figure, axes = _panels(1, 2, u.shape[1:])
+        figure, axes = _panels(1, 2, u.shape[1:], settings)
         for i in (0, 1):
             draw_component(axes[0, i], u[i], i, _limits(u[i], i), settings)
         _label(axes)
@@ -66,12 +74,52 @@ def field_and_error(
     ``largest`` px, so that figures of several estimates compare.
     """
     with mpl.rc_context(STYLE):
-        figure, axes = _panels(2, 2, truth.shape[1:])
+        figure, axes = _panels(2, 2, truth.shape[1:], settings)
         for i in (0, 1):
             draw_component(axes[i, 0], estimate[i], i, _limits(truth[i], i), settings)
             error = np.abs(estimate[i] - truth[i])
             title = f"absolute error of ${COMPONENTS[i]}$, at most {error.max():.2f} px"
             _draw(axes[i, 1], error, title, "magma_r", (0, largest), settings)
+        _label(axes)
+    return figure
+
+
+def two_fields(left: Array, right: Array, names: Sequence[str], settings: Figures) -> Figure:
+    """Two estimates side by side on shared scales, u1 above u2, as in Figure 2."""
+    with mpl.rc_context(STYLE):
+        figure, axes = _panels(2, 2, left.shape[1:], settings)
+        for i in (0, 1):
+            limits = _limits(np.stack([left[i], right[i]]), i)
+            for axis, u, name in zip(axes[i], (left, right), names, strict=True):
+                title = f"{NAMES[i]} displacement ${COMPONENTS[i]}$, {name}"
+                _draw(axis, u[i], title, MAPS[i], limits, settings)
+        _label(axes)
+    return figure
+
+
+def strains(e: Array, settings: Figures) -> Figure:
+    """Lateral, axial and shear strain, in percent; the range leaves out 1 % at either end."""
+    names = ("lateral strain $e_{11}$", "axial strain $e_{22}$", "shear strain $e_{12}$")
+    with mpl.rc_context(STYLE):
+        figure, axes = _panels(1, 3, e.shape[1:], settings)
+        for axis, values, title in zip(axes[0], 100 * e, names, strict=True):
+            largest = max(float(np.percentile(np.abs(values), 99)), 1e-6)
+            _show(axis, values, title, "RdBu_r", (-largest, largest), "%", settings)
+        _label(axes)
+    return figure
+
+
+def quality(residual: Array, inconsistency: Array, share: Array, settings: Figures) -> Figure:
+    """What is left after warping, forward-backward inconsistency, and the share of the data."""
+    largest = max(float(np.nanpercentile(np.abs(residual), 99)), 1e-6)
+    worst = max(float(np.nanpercentile(inconsistency, 99)), 1e-3)
+    with mpl.rc_context(STYLE):
+        figure, axes = _panels(1, 3, share.shape, settings)
+        limits = (-largest, largest)
+        _show(axes[0, 0], residual, "residual $I_2(x + u) - I_1$", "PuOr", limits, "", settings)
+        title = "forward-backward error"
+        _show(axes[0, 1], inconsistency, title, "magma_r", (0, worst), "px", settings)
+        _show(axes[0, 2], share, "data (1) or regulariser (0)", "cividis", (0, 1), "", settings)
         _label(axes)
     return figure
 
@@ -91,16 +139,20 @@ def save(figure: Figure, paths: Sequence[Path], settings: Figures = Figures()) -
             figure.savefig(temporary, dpi=settings.dpi, metadata=metadata)
 
 
-def _panels(rows: int, columns: int, shape: tuple[int, ...]) -> tuple[Figure, NDArray]:
-    height = WIDTH * 0.8 * shape[0] / shape[1] + 0.6
+def _panels(
+    rows: int, columns: int, shape: tuple[int, ...], settings: Figures
+) -> tuple[Figure, NDArray]:
+    p1, p2 = settings.pixel_size
+    aspect = shape[0] * p2 / (shape[1] * p1)
+    height = WIDTH * 0.8 * min(max(aspect, 0.3), 1.5) + 0.6
     figure = Figure((columns * WIDTH, rows * height), layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
 
 
 def _extent(shape: tuple[int, ...], settings: Figures) -> tuple[float, float, float, float]:
     height, width = shape
-    p = settings.pixel_size
-    return (-p / 2, (width - 0.5) * p, (height - 0.5) * p, -p / 2)
+    p1, p2 = settings.pixel_size
+    return (-p1 / 2, (width - 0.5) * p1, (height - 0.5) * p2, -p2 / 2)
 
 
 def _limits(values: Array, i: int) -> tuple[float, float]:
@@ -130,9 +182,42 @@ def _draw(
     low, high = max(limits[0] + margin, inner.min()), min(limits[1] - margin, inner.max())
     levels = levels[(levels > low) & (levels < high)]
     if levels.size:
-        x1, x2 = (np.arange(1, n - 1) * settings.pixel_size for n in values.shape[::-1])
+        sides = zip(values.shape[::-1], settings.pixel_size, strict=True)
+        x1, x2 = (np.arange(1, n - 1) * p for n, p in sides)
         lines = axis.contour(x1, x2, inner, levels, colors="black", linestyles="solid")
         axis.clabel(lines, fontsize=6, fmt="%g")
+
+
+def _show(
+    axis: Axes,
+    values: Array,
+    title: str,
+    colours: str,
+    limits: tuple[float, float],
+    unit: str,
+    settings: Figures,
+) -> None:
+    """An image with its colour bar; grey where there is no value."""
+    extent = _extent(values.shape, settings)
+    shown = axis.imshow(values, colours, vmin=limits[0], vmax=limits[1], extent=extent)
+    axis.set_facecolor("0.7")
+    axis.set_title(title)
+    _colour_bar(axis, shown, unit)
+
+
+def _arrows(axis: Axes, bubbles: pd.DataFrame, settings: Figures) -> None:
+    p1, p2 = settings.pixel_size
+    axis.quiver(
+        bubbles.x1 * p1,
+        bubbles.x2 * p2,
+        bubbles.u1 * p1,
+        bubbles.u2 * p2,
+        angles="xy",
+        scale_units="xy",
+        scale=1,
+        color="red",
+        width=0.003,
+    )
 
 
 def _colour_bar(axis: Axes, shown: AxesImage, label: str) -> None:

@@ -1,18 +1,21 @@
-"""Files: images and fields as TIFF, bubbles and errors as CSV.
+"""Files: images, fields as TIFF, tables as CSV, summaries as JSON.
 
 The only module that knows file formats. Every file is written beside its place and then
 moved there, so that a failure leaves nothing half-written.
 """
 
+import json
 import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import tifffile
+import yaml
 from numpy.typing import NDArray
 
 from eofm.errors import InputError
@@ -23,21 +26,37 @@ BUBBLE_COLUMNS = ("x1", "x2", "u1", "u2")
 
 
 def read_image(path: Path) -> Array:
-    """Read a single-page greyscale TIFF, shape (height, width).
+    """Read a greyscale image, shape (height, width): TIFF, PNG, NumPy or MATLAB.
+
+    ``FILE#3`` is page 3 (from 0) of a stack, ``FILE#name`` a variable of a MATLAB or NumPy file.
 
     Raises
     ------
     InputError
         If the file is missing, unreadable, in colour, a stack, or has NaN or infinity.
     """
-    pages = _read_tiff(path)
+    pages = _read_array(path)
     if pages.ndim == 3 and pages.shape[-1] in (3, 4):
         raise InputError(f"{path}: is a colour image; convert it to greyscale first")
     if pages.ndim != 2:
         raise InputError(
-            f"{path}: holds a stack of shape {pages.shape}; save the page you mean as one image"
+            f"{path}: holds a stack of shape {pages.shape}; name a page, as in {path}#0"
         )
     return _finite(path, pages)
+
+
+def read_stack(path: Path) -> Array:
+    """Read a sequence of greyscale frames, shape (frames, height, width).
+
+    Raises
+    ------
+    InputError
+        If the file cannot be used or holds fewer than two frames.
+    """
+    frames = _read_array(path)
+    if frames.ndim != 3 or len(frames) < 2 or frames.shape[-1] in (3, 4):
+        raise InputError(f"{path}: is no stack of greyscale frames (shape {frames.shape})")
+    return _finite(path, frames)
 
 
 def read_pair(reference: Path, deformed: Path) -> tuple[Array, Array]:
@@ -65,7 +84,7 @@ def read_field(path: Path, shape: tuple[int, ...] | None = None) -> Array:
     InputError
         If the file is no such field, or not of the ``shape`` (height, width) wanted.
     """
-    u = _read_tiff(path)
+    u = _read_array(path)
     if u.ndim != 3 or u.shape[0] != 2:
         raise InputError(
             f"{path}: is no displacement field; wanted two pages (u1, u2), found shape {u.shape}"
@@ -84,19 +103,35 @@ def write_image(path: Path, I: Array) -> None:
         tifffile.imwrite(temporary, I.astype(np.float32), imagej=True)
 
 
-def write_field(path: Path, u: Array) -> None:
-    """Write a field as float32 ImageJ TIFF with the pages u1 and u2, px."""
+def write_field(path: Path, u: Array, unit: str = "px") -> None:
+    """Write a field as float32 ImageJ TIFF with the pages u1 and u2."""
+    write_pages(path, u, [f"u1 lateral [{unit}]", f"u2 axial [{unit}]"])
+
+
+def write_pages(path: Path, pages: Array, labels: list[str]) -> None:
+    """Write labelled pages, shape (n, height, width), as float32 ImageJ TIFF."""
     with replacing(path) as temporary:
         tifffile.imwrite(
             temporary,
-            u.astype(np.float32),
+            pages.astype(np.float32),
             imagej=True,
-            metadata={"axes": "CYX", "Labels": ["u1 lateral [px]", "u2 axial [px]"]},
+            metadata={"axes": "CYX", "Labels": labels},
         )
 
 
+def write_json(path: Path, values: dict[str, Any]) -> None:
+    """Write a summary, indented."""
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(values, indent=2) + "\n")
+
+
 def read_bubbles(path: Path) -> pd.DataFrame:
-    """Read a table of bubbles with at least the columns x1, x2, u1, u2, px.
+    """Read a table of bubbles with at least the columns x1, x2, u1, u2, px."""
+    return read_columns(path, BUBBLE_COLUMNS)
+
+
+def read_columns(path: Path, columns: tuple[str, ...]) -> pd.DataFrame:
+    """Read a CSV table that has at least some columns of numbers.
 
     Raises
     ------
@@ -108,13 +143,12 @@ def read_bubbles(path: Path) -> pd.DataFrame:
         table = pd.read_csv(path)
     except (OSError, UnicodeDecodeError, pd.errors.ParserError, pd.errors.EmptyDataError) as error:
         raise InputError(f"{path}: cannot be read as a CSV table ({_one_line(error)})") from None
-    missing = [name for name in BUBBLE_COLUMNS if name not in table]
+    missing = [name for name in columns if name not in table]
     if missing:
         raise InputError(
-            f"{path}: lacks the column {missing[0]}; a table of bubbles has"
-            f" {', '.join(BUBBLE_COLUMNS)}, as eofm track writes it"
+            f"{path}: lacks the column {missing[0]}; wanted are the columns {', '.join(columns)}"
         )
-    for name in BUBBLE_COLUMNS:
+    for name in columns:
         column = pd.to_numeric(table[name], errors="coerce")
         bad = np.flatnonzero(~np.isfinite(column))
         if bad.size:
@@ -125,19 +159,92 @@ def read_bubbles(path: Path) -> pd.DataFrame:
     return table
 
 
+def read_settings(path: Path) -> dict[str, Any]:
+    """Read a YAML file of names and values.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or holds something else.
+    """
+    try:
+        values = yaml.safe_load(path.read_text())
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise InputError(f"{path}: cannot be read as YAML ({_one_line(error)})") from None
+    if not isinstance(values, dict) or not all(isinstance(name, str) for name in values):
+        raise InputError(f"{path}: holds no names and values")
+    return values
+
+
 def write_table(path: Path, table: pd.DataFrame) -> None:
     """Write a table as CSV, with six decimals."""
     with replacing(path) as temporary:
         table.to_csv(temporary, index=False, float_format="%.6f", lineterminator="\n")
 
 
-def _read_tiff(path: Path) -> NDArray:
+def _read_array(path: Path) -> NDArray:
+    """The array of a file, or the page or variable of it named after a ``#``."""
+    name, _, part = str(path).partition("#")
+    if not Path(name).exists():
+        raise InputError(f"{name}: no such file")
+    kind = Path(name).suffix.lower()
+    read = READERS.get(kind, _read_tiff)
     try:
-        return tifffile.imread(path)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except Exception as error:  # tifffile raises whatever the damage leads to
-        raise InputError(f"{path}: cannot be read as TIFF ({_one_line(error)})") from None
+        array = read(name, part)
+    except InputError:
+        raise
+    except Exception as error:  # readers raise whatever the damage leads to
+        label = kind[1:].upper() if kind in READERS else "TIFF"
+        raise InputError(f"{name}: cannot be read as {label} ({_one_line(error)})") from None
+    if not part or not part.isdigit():
+        return array
+    if array.ndim < 3 or int(part) >= len(array):
+        raise InputError(f"{path}: has no page {part}; the file holds shape {array.shape}")
+    return array[int(part)]
+
+
+def _read_tiff(name: str, part: str) -> NDArray:
+    return tifffile.imread(name)
+
+
+def _read_png(name: str, part: str) -> NDArray:
+    from skimage.io import imread
+
+    return imread(name)
+
+
+def _read_numpy(name: str, part: str) -> NDArray:
+    loaded = np.load(name, allow_pickle=False)
+    return loaded if isinstance(loaded, np.ndarray) else _variable(name, dict(loaded), part)
+
+
+def _read_matlab(name: str, part: str) -> NDArray:
+    """MATLAB 5 by SciPy; MATLAB 7.3 is HDF5, whose axes are the other way round."""
+    import h5py
+    from scipy.io import loadmat
+
+    if h5py.is_hdf5(name):
+        with h5py.File(name) as file:
+            found = {k: v[()].T for k, v in file.items() if isinstance(v, h5py.Dataset)}
+    else:
+        found = {k: v for k, v in loadmat(name).items() if not k.startswith("__")}
+    # MATLAB keeps pages last.
+    found = {k: np.moveaxis(v, -1, 0) if v.ndim == 3 else v for k, v in found.items()}
+    return _variable(name, found, part)
+
+
+def _variable(name: str, found: dict[str, NDArray], part: str) -> NDArray:
+    if part in found:
+        return found[part]
+    if len(found) == 1 and not part:
+        return next(iter(found.values()))
+    raise InputError(
+        f"{name}: name a variable, as in {name}#{next(iter(found), 'I')}; it holds"
+        f" {', '.join(found) or 'none'}"
+    )
+
+
+READERS = {".png": _read_png, ".npy": _read_numpy, ".npz": _read_numpy, ".mat": _read_matlab}
 
 
 def _finite(path: Path, values: NDArray) -> Array:

@@ -37,8 +37,8 @@ def test_units_and_shared_scales(draw, truth):
 
 
 def test_positions_follow_the_pixel_size():
-    figure = figures.field(np.zeros((2, 11, 21)), eofm.Figures(pixel_size=2.0))
-    assert list(figure.axes[0].images[0].get_extent()) == [-1, 41, 21, -1]
+    figure = figures.field(np.zeros((2, 11, 21)), eofm.Figures(pixel_size=(2.0, 3.0)))
+    assert list(figure.axes[0].images[0].get_extent()) == [-1, 41, 31.5, -1.5]
 
 
 def test_a_field_without_motion_can_be_drawn(tmp_path):

@@ -1,0 +1,186 @@
+"""Your own images: all results of a pair or a sequence."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from eofm.bubbles import track
+from eofm.config import Estimation, Pair, Tracking
+from eofm.estimate import estimate_displacement
+from eofm.images import warp
+from eofm.quality import data_share, inconsistency, residual
+from eofm.scene import Scene, prepare
+from eofm.strain import FILTER, strain
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Step:
+    """Results of one step from a frame to the next, px."""
+
+    u: Array
+    standard: Array
+    bubbles: pd.DataFrame
+    inconsistency: Array
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """Results of a pair or a sequence.
+
+    Attributes
+    ----------
+    first, last : ndarray, shape (height, width)
+        First and last frame in the region of interest.
+    u : ndarray, shape (2, height, width)
+        Displacement from the first frame to the last, px.
+    steps : list of Step
+        The results of each step.
+    strain : ndarray, shape (3, height, width)
+        Lateral, axial and shear strain of ``u``.
+    residual, share : ndarray, shape (height, width)
+        Difference of the warped last frame from the first; share of the data.
+    summary : dict
+        What a reader wants to know first.
+    """
+
+    first: Array
+    last: Array
+    u: Array
+    steps: list[Step]
+    strain: Array
+    residual: Array
+    share: Array
+    summary: dict[str, Any]
+
+
+def analyse(
+    pair: Pair,
+    tracking: Tracking = Tracking(),
+    estimation: Estimation = Estimation(),
+    *,
+    progress: bool = False,
+) -> Analysis:
+    """Displacement, strain and their quality for a pair or sequence of images.
+
+    Parameters
+    ----------
+    pair : Pair
+        The images and what is known of the sample.
+    tracking, estimation : Tracking, Estimation
+        Settings of the steps.
+    progress : bool
+        Show progress bars, if standard error is a terminal.
+
+    Raises
+    ------
+    InputError
+        If anything described cannot be used.
+    """
+    scene = prepare(pair)
+    steps, total = [], np.zeros((2, *scene.dead.shape))
+    for I1, I2 in zip(scene.frames[:-1], scene.frames[1:], strict=True):
+        steps.append(_step(I1, I2, scene, pair, tracking, estimation, progress))
+        # What was at x is at x + total(x) now, and moves on from there.
+        total = total + np.stack([warp(c, total)[0] for c in steps[-1].u])
+    spacing = np.array(pair.pixel_size) / np.sqrt(np.prod(pair.pixel_size))
+    window = pair.strain_window or 3 * float(np.sqrt(np.prod(pair.pixel_size)))
+    first, last = scene.frames[0], scene.frames[-1]
+    e = strain(total, pair.pixel_size, window)
+    left = residual(first, last, total)
+    share = data_share(
+        _unit(first), estimation.alpha, estimation.sigma, (spacing[0], spacing[1]), scene.dead
+    )
+    summary = _summary(pair, scene, steps, total, e, window)
+    summary |= {
+        "residual_rms": float(np.sqrt(np.nanmean(left[~scene.dead] ** 2))),
+        "residual_rms_without_motion": float(
+            np.sqrt(np.nanmean(residual(first, last, 0 * total)[~scene.dead] ** 2))
+        ),
+        "share_of_data_median": float(np.median(share)),
+    }
+    return Analysis(first, last, total, steps, e, left, share, summary)
+
+
+def _step(
+    I1: Array,
+    I2: Array,
+    scene: Scene,
+    pair: Pair,
+    tracking: Tracking,
+    estimation: Estimation,
+    progress: bool,
+) -> Step:
+    """Standard flow, tracked bubbles, EOFM, and EOFM backwards."""
+    shared: dict[str, Any] = {"pixel_size": pair.pixel_size, "progress": progress}
+    plain = estimation.model_copy(update={"beta": 0.0, "zero_edges": ()})
+    standard = estimate_displacement(I1, I2, plain, dead=scene.dead, **shared)
+    guess = standard if scene.background is None else scene.background
+    bubbles = track(I1, I2, tracking, prediction=guess)
+    bubbles = bubbles[~scene.dead[_nearest(bubbles.x2), _nearest(bubbles.x1)]]
+    u = estimate_displacement(
+        I1,
+        I2,
+        estimation,
+        bubbles=bubbles,
+        background=scene.background,
+        edges=scene.edges,
+        dead=scene.dead,
+        **shared,
+    )
+    back = bubbles.assign(
+        x1=bubbles.x1 + bubbles.u1, x2=bubbles.x2 + bubbles.u2, u1=-bubbles.u1, u2=-bubbles.u2
+    )
+    w_bg = None
+    if scene.background is not None:
+        w_bg = -np.stack([warp(c, -scene.background)[0] for c in scene.background])
+    w = estimate_displacement(
+        I2,
+        I1,
+        estimation,
+        bubbles=back,
+        background=w_bg,
+        edges={edge: -g for edge, g in scene.edges.items()},
+        **shared,
+    )
+    return Step(u, standard, bubbles, inconsistency(u, w))
+
+
+def _nearest(x: pd.Series) -> NDArray[np.int64]:
+    return x.round().to_numpy().astype(np.int64)
+
+
+def _unit(I: Array) -> Array:
+    return (I - I.min()) / np.ptp(I)
+
+
+def _summary(
+    pair: Pair, scene: Scene, steps: list[Step], u: Array, e: Array, window: float
+) -> dict[str, Any]:
+    def span(values: Array) -> list[float]:
+        return [float(values.min()), float(values.max())]
+
+    errors = np.concatenate([step.inconsistency[~scene.dead] for step in steps])
+    return {
+        "images": [pair.frames] if pair.frames else [pair.reference, pair.deformed],
+        "size_px": [u.shape[2], u.shape[1]],
+        "pixel_size_um": list(pair.pixel_size),
+        "steps": len(steps),
+        "bubbles": [len(step.bubbles) for step in steps],
+        "bubble_quality_median": float(
+            np.median(np.concatenate([s.bubbles.quality for s in steps]))
+        ),
+        "u1_range_px": span(u[0]),
+        "u2_range_px": span(u[1]),
+        "u1_range_um": span(u[0] * pair.lateral_size),
+        "u2_range_um": span(u[1] * pair.axial_size),
+        "strain_filter": FILTER,
+        "strain_window_um": window,
+        "axial_strain_mean": float(e[1].mean()),
+        "dead_share": float(scene.dead.mean()),
+        "forward_backward_error_median_px": float(np.nanmedian(errors)),
+    }

@@ -1,0 +1,43 @@
+"""How far an estimate may be trusted, without knowing the truth."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from eofm.images import gradient, normalise, warp
+
+Array = NDArray[np.float64]
+
+
+def residual(I1: Array, I2: Array, u: Array) -> Array:
+    """``I2(x + u(x)) - I1(x)`` with both images in [0, 1]; NaN where x + u leaves the image."""
+    I1, I2 = normalise(I1, I2)
+    warped, inside = warp(I2, u)
+    return np.where(inside, warped - I1, np.nan)
+
+
+def inconsistency(forward: Array, backward: Array) -> Array:
+    """Length of ``u(x) + w(x + u(x))``, px, for the displacements u there and w back.
+
+    NaN where x + u leaves the image. Zero for an exact pair of fields.
+    """
+    (w1, inside), (w2, _) = (warp(w, forward) for w in backward)
+    return np.where(inside, np.hypot(forward[0] + w1, forward[1] + w2), np.nan)
+
+
+def data_share(
+    I1: Array, alpha: float, width: float, spacing: tuple[float, float], dead: NDArray[np.bool_]
+) -> Array:
+    """Share of the data in the weaker direction of the estimate, from 0 to 1.
+
+    ``l / (l + alpha / width^2)``, where l is the smaller eigenvalue of the mean of
+    ``grad I grad I^T`` over a Gaussian of standard deviation ``width``, and the smoothness
+    term holds a bump of that width with ``alpha / width^2``. Near 1 the images decide, near 0
+    the regulariser and what is known of edges, bubbles and background.
+    """
+    g1, g2 = np.where(dead, 0, gradient(I1, spacing))
+    widths = [width / h for h in spacing[::-1]]
+    A11, A12, A22 = (ndimage.gaussian_filter(A, widths) for A in (g1 * g1, g1 * g2, g2 * g2))
+    smaller = (A11 + A22) / 2 - np.hypot((A11 - A22) / 2, A12)
+    smaller = np.maximum(smaller, 0)
+    return smaller / (smaller + alpha / width**2)

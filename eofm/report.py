@@ -1,0 +1,49 @@
+"""The results of a pair or sequence as files and figures."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from eofm import figures, io
+from eofm.config import Figures, Pair
+from eofm.pairs import Analysis
+
+STRAIN_LABELS = ["e11 lateral", "e22 axial", "e12 shear"]
+
+
+def write_results(results: Analysis, pair: Pair, folder: Path) -> None:
+    """Write fields, tables, summary and figures into a folder.
+
+    ``displacement.tif`` (px), ``displacement_um.tif``, ``strain.tif``, ``bubbles.csv``,
+    ``summary.json``, for sequences also ``increments.tif``, and the figures ``pair``,
+    ``displacement``, ``strain`` and ``quality`` as PNG and PDF.
+    """
+    size = np.reshape(pair.pixel_size, (2, 1, 1))
+    io.write_field(folder / "displacement.tif", results.u)
+    io.write_field(folder / "displacement_um.tif", results.u * size, "um")
+    io.write_pages(folder / "strain.tif", results.strain, STRAIN_LABELS)
+    if len(results.steps) > 1:
+        increments = np.concatenate([step.u for step in results.steps])
+        labels = [f"step {k}: u{i} [px]" for k in range(len(results.steps)) for i in (1, 2)]
+        io.write_pages(folder / "increments.tif", increments, labels)
+    tables = [step.bubbles.assign(step=k) for k, step in enumerate(results.steps)]
+    io.write_table(folder / "bubbles.csv", pd.concat(tables, ignore_index=True))
+    settings = Figures(pixel_size=pair.pixel_size)
+    for name, figure in draw(results, settings).items():
+        paths = [folder / f"{name}.{kind}" for kind in ("png", "pdf")]
+        figures.save(figure, paths, settings)
+    io.write_json(folder / "summary.json", results.summary)
+
+
+def draw(results: Analysis, settings: Figures) -> dict[str, Figure]:
+    """The figures of a pair; of a sequence, the bubbles and standard flow of its first step."""
+    step = results.steps[0]
+    names = ("standard flow", "EOFM")
+    return {
+        "pair": figures.image_pair(results.first, results.last, settings, step.bubbles),
+        "displacement": figures.two_fields(step.standard, step.u, names, settings),
+        "strain": figures.strains(results.strain, settings),
+        "quality": figures.quality(results.residual, step.inconsistency, results.share, settings),
+    }
