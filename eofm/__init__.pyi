@@ -1,3 +1,4 @@
+from . import io as io
 from .bubbles import track as track
 from .config import Estimation as Estimation
 from .config import Figures as Figures

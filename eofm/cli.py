@@ -138,7 +138,10 @@ def sample(args: argparse.Namespace) -> None:
 
     given = io.read_settings(args.settings) if args.settings else {}
     pair, tracking, estimation = _sections([Pair, Tracking, Estimation], given, args)
-    results = analyse(pair, tracking, estimation, progress=True)
+    try:
+        results = analyse(pair, tracking, estimation, progress=True)
+    except InputError as error:
+        raise InputError(f"{args.output.name}: {error}") from None
     args.output.mkdir(exist_ok=True)
     write_results(results, pair, args.output)
 
@@ -230,13 +233,12 @@ def _parser() -> argparse.ArgumentParser:
 
 def _add_options(group: argparse._ArgumentGroup, section: type[Section]) -> None:
     for name, field in section.model_fields.items():
-        many = "tuple" in str(field.annotation)
         default = field.get_default()
         shown = " ".join(map(str, default)) if isinstance(default, tuple) else default
         group.add_argument(
             f"--{name.replace('_', '-')}",
             metavar="VALUE",
-            nargs="*" if many else None,
+            nargs="*" if section.takes_many(name) else None,
             type=_value,
             default=argparse.SUPPRESS,
             help=f"{field.description} (default: {'none' if shown in ('', None) else shown})",

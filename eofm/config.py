@@ -32,6 +32,11 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     @classmethod
+    def takes_many(cls, name: str) -> bool:
+        """Whether a key holds several values."""
+        return "tuple" in str(cls.model_fields[name].annotation)
+
+    @classmethod
     def parse(cls, values: dict[str, Any], where: str) -> Self:
         """Checked settings from plain values.
 
@@ -262,6 +267,7 @@ class Config(Section):
     estimation: Estimation = Estimation()
     tests: dict[str, Variant] = {}
     figures: Figures = Figures()
+    samples: str = Field("config/samples.tsv", description="table of your own image pairs (TSV)")
 
     def variant(self, name: str) -> Estimation:
         """Settings of one row of Table 1."""

@@ -144,7 +144,7 @@ def _panels(
 ) -> tuple[Figure, NDArray]:
     p1, p2 = settings.pixel_size
     aspect = shape[0] * p2 / (shape[1] * p1)
-    height = WIDTH * 0.8 * min(max(aspect, 0.3), 1.5) + 0.6
+    height = WIDTH * 0.74 * min(max(aspect, 0.3), 1.5) + 0.55
     figure = Figure((columns * WIDTH, rows * height), layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
 

@@ -1,11 +1,16 @@
 """Checked settings, and what every rule needs to state its command and its inputs."""
 
 import ast
+import io
 import json
 import os
+import re
 import shlex
 import sys
+from difflib import get_close_matches
 from pathlib import Path
+
+import pandas as pd
 
 import eofm.config
 from eofm.errors import InputError
@@ -55,3 +60,73 @@ def options(*sections):
                     for item in (value if isinstance(value, list) else [value])
                 ]
     return shlex.join(words)
+
+
+def read_samples(path):
+    """Rows of the table of samples by name, as texts, without empty cells."""
+    sections = [eofm.config.Pair, eofm.config.Tracking, eofm.config.Estimation]
+    known = [
+        "sample",
+        "settings",
+        *(name for section in sections for name in section.model_fields),
+    ]
+    try:
+        # Only whole lines are comments: FILE#3 is page 3 of a file.
+        lines = [
+            line for line in Path(path).read_text().splitlines() if line[:1] != "#"
+        ]
+        text = io.StringIO("\n".join(lines))
+        table = pd.read_csv(text, sep="\t", dtype=str, keep_default_na=False)
+    except (OSError, ValueError) as error:
+        sys.exit(f"{path}: cannot be read as a table ({error}); see config/README.md")
+    for column in table:
+        if column not in known:
+            close = get_close_matches(column, known, 1)
+            sys.exit(
+                f"{path}: unknown column {column}; "
+                + (f"did you mean {close[0]}?" if close else "see config/README.md")
+            )
+    if "sample" not in table:
+        sys.exit(f"{path}: lacks the column sample")
+    for name in table["sample"]:
+        if not re.fullmatch(r"[\w.-]+", name):
+            sys.exit(
+                f"{path}: sample '{name}': use letters, digits, dots, - and _ in names"
+            )
+        if (table["sample"] == name).sum() > 1:
+            sys.exit(f"{path}: sample {name} stands in it twice; rename one")
+    rows = table.to_dict("records")
+    return {
+        row.pop("sample"): {k: v for k, v in row.items() if v.strip()} for row in rows
+    }
+
+
+def sample_options(row):
+    """Command-line options of a row of the table of samples."""
+    words = []
+    for name, text in row.items():
+        option = f"--{name.replace('_', '-')}"
+        many = any(
+            name in section.model_fields and section.takes_many(name)
+            for section in (
+                eofm.config.Pair,
+                eofm.config.Tracking,
+                eofm.config.Estimation,
+            )
+        )
+        words += [option, *text.split()] if many else [f"{option}={text}"]
+    return shlex.join(words)
+
+
+def sample_files(row):
+    """Files that a row names, but those that are not there: the step says so in one line."""
+    texts = [
+        row.get(k, "") for k in ("reference", "deformed", "frames", "mask", "settings")
+    ]
+    texts += [row.get("background", "")]
+    texts += [
+        row.get(edge, "").split()[-1:] for edge in ("top", "bottom", "left", "right")
+    ]
+    names = [t[0] if isinstance(t, list) and t else t for t in texts]
+    files = [str(name).partition("#")[0] for name in names if name]
+    return [f for f in files if f.startswith("results/") or Path(f).is_file()]
