@@ -158,6 +158,9 @@ class Estimation(Section):
     scales: int = Field(4, ge=1, description="scales; 1 is the paper's 'no multi-scale'")
     factor: float = Field(0.5, gt=0, lt=1, description="ratio of the sizes of two scales")
     warps: int = Field(1, ge=1, description="linear solves per scale, each after a warp")
+    start: Literal["zero", "background"] = Field(
+        "background", description="field about which the images are linearised first"
+    )
     zero_edges: tuple[Edge, ...] = Field(
         (), description="edges with v = 0: top and bottom are Gamma_1 and Gamma_2"
     )

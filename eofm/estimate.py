@@ -25,7 +25,7 @@ from eofm.images import (
     warp,
 )
 from eofm.multiscale import coarse_to_fine
-from eofm.solver import direct
+from eofm.multigrid import multigrid
 
 Array = NDArray[np.float64]
 
@@ -80,8 +80,8 @@ def estimate_displacement(
     Notes
     -----
     On each scale, ``v`` minimises F, eq. (def_F), with I2 linearised about the current
-    field ``u0`` (zero to start with) by ``I_t = I2(x + u0) - I1 - grad I1 . u0``. With one
-    scale and one warp this is the paper's problem, ``I_t = I2 - I1``. Pixels that leave
+    field ``u0`` (zero or u_bg to start with) by ``I_t = I2(x + u0) - I1 - grad I1 . u0``. With one
+    scale, one warp and zero to start with this is the paper's problem, ``I_t = I2 - I1``. Pixels that leave
     the image, ``x + u0(x)`` outside of it, carry no data.
     """
     background = np.zeros((2, *I1.shape)) if background is None else background
@@ -117,7 +117,7 @@ def estimate_displacement(
         for _ in range(settings.warps):
             data = _linearised(grid, I1, I2, grad_I, u, u_bg_here, live)
             F = Quadratic(grid, known + data, settings.alpha, free)
-            u = u_bg_here + prescribed + direct(F.shifted(prescribed))
+            u = u_bg_here + prescribed + multigrid(F.shifted(prescribed))
         return u
 
     if settings.local_window:
@@ -133,6 +133,7 @@ def estimate_displacement(
         scales=settings.scales,
         factor=settings.factor,
         spacing=(spacing[0], spacing[1]),
+        start=u_bg if settings.start == "background" else None,
         progress=progress,
     )
     return u / spacing[:, None, None]

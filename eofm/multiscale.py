@@ -57,6 +57,7 @@ def coarse_to_fine(
     scales: int,
     factor: float,
     spacing: tuple[float, float] = (1.0, 1.0),
+    start: Array | None = None,
     progress: bool = False,
 ) -> Array:
     """Displacement found on the coarsest grid first and improved on each finer one.
@@ -74,6 +75,8 @@ def coarse_to_fine(
         Ratio of the sizes of two grids.
     spacing : (h1, h2)
         Lateral and axial distance of the pixels.
+    start : ndarray, shape (2, height, width), optional
+        Displacement to begin with; zero by default.
     progress : bool
         Show a progress bar, if standard error is a terminal.
 
@@ -83,7 +86,8 @@ def coarse_to_fine(
         In the unit of ``spacing``.
     """
     grids = pyramid((I1.shape[0], I1.shape[1]), scales, factor, spacing)
-    u = np.zeros((2, *grids[0].shape))
+    u = np.zeros((2, *I1.shape)) if start is None else start
+    u = resize_field(u, grids[0].shape)
     for grid in tqdm(grids, "scales", disable=None if progress else True):
         u = resize_field(u, grid.shape)
         u = improve(grid, resize(I1, grid.shape), resize(I2, grid.shape), u)
