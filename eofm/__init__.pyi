@@ -4,6 +4,7 @@ from .config import Estimation as Estimation
 from .config import Figures as Figures
 from .config import Forward as Forward
 from .config import Inclusion as Inclusion
+from .config import Pair as Pair
 from .config import Phantom as Phantom
 from .config import Sample as Sample
 from .config import Tracking as Tracking
@@ -12,4 +13,5 @@ from .elasticity import true_field as true_field
 from .errors import InputError as InputError
 from .estimate import estimate_displacement as estimate_displacement
 from .metrics import relative_errors as relative_errors
+from .pairs import analyse as analyse
 from .phantom import make_phantom as make_phantom

@@ -5,6 +5,7 @@ Imports of the steps sit inside the subcommands, so that ``--help`` is instant.
 
 import argparse
 import json
+import os
 import sys
 from collections.abc import Callable, Sequence
 from difflib import get_close_matches
@@ -195,6 +196,8 @@ STEPS: dict[Callable[..., None], tuple[dict[str, str], dict[str, str], list[type
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one step; 0 if it worked, 1 if its input cannot be used, 2 for wrong usage."""
     args = _parser().parse_args(argv)
+    # Compiled loops take as many threads as the workflow gives a job.
+    os.environ.setdefault("NUMBA_NUM_THREADS", os.environ.get("OMP_NUM_THREADS", "1"))
     try:
         for output in filter(str.isupper, STEPS[args.step][1]):
             io.check_folder(getattr(args, output.lower()))

@@ -24,8 +24,8 @@ from eofm.images import (
     resize_field,
     warp,
 )
-from eofm.multiscale import coarse_to_fine
 from eofm.multigrid import multigrid
+from eofm.multiscale import coarse_to_fine
 
 Array = NDArray[np.float64]
 
@@ -80,9 +80,10 @@ def estimate_displacement(
     Notes
     -----
     On each scale, ``v`` minimises F, eq. (def_F), with I2 linearised about the current
-    field ``u0`` (zero or u_bg to start with) by ``I_t = I2(x + u0) - I1 - grad I1 . u0``. With one
-    scale, one warp and zero to start with this is the paper's problem, ``I_t = I2 - I1``. Pixels that leave
-    the image, ``x + u0(x)`` outside of it, carry no data.
+    field ``u0`` (zero or u_bg to start with) by ``I_t = I2(x + u0) - I1 - grad I1 . u0``.
+    With one scale, one warp and zero to start with this is the paper's problem,
+    ``I_t = I2 - I1``. Pixels that leave the image, ``x + u0(x)`` outside of it, carry no
+    data.
     """
     background = np.zeros((2, *I1.shape)) if background is None else background
     dead = np.zeros(I1.shape, dtype=bool) if dead is None else dead

@@ -59,7 +59,7 @@ class Grid:
     @property
     def weights(self) -> tuple[Array, Array]:
         """Trapezoidal weights along x1 and along x2."""
-        w1, w2 = (np.full(n, h) for n, h in zip(self.shape[::-1], self.spacing, strict=True))
+        w1, w2 = (np.full(n, float(h)) for n, h in zip(self.shape[::-1], self.spacing, strict=True))
         for w in (w1, w2):
             w[[0, -1]] /= 2
         return w1, w2

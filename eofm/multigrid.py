@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from eofm import stencils
+from eofm.errors import InputError
 from eofm.functional import Quadratic
 
 Array = NDArray[np.float64]
@@ -41,7 +42,7 @@ ALIKE = math.sqrt(2) + 1e-6
 CYCLE = {"gradient": (2, 4, 1), "bending": (3, 12, 2)}
 
 
-class NotConverged(RuntimeError):  # noqa: N818 - says it all
+class NotConverged(InputError):  # noqa: N818 - says it all
     """The residual is still too large after the last iteration."""
 
 
@@ -70,7 +71,7 @@ def multigrid(
 
     Raises
     ------
-    ValueError
+    InputError
         If F has no unique minimiser (up to rounding).
     NotConverged
         If ``max_iterations`` do not reach ``tol``.
@@ -134,7 +135,7 @@ class Level:
     operator: tuple[Any, ...]
     degree: int
     visits: int
-    transfer: tuple[Array, ...]
+    transfer: tuple[Any, ...]
     coarse: "Level | Coarsest"
 
     def __post_init__(self) -> None:
@@ -218,9 +219,9 @@ def hierarchy(F: Quadratic) -> Level | Coarsest:
     A[:, ~free] = np.array([[1.0], [0.0], [1.0]]) * stiffness[~free]
     energies = np.linalg.eigvalsh(_rigid_energy(A, bending))
     if not energies[0] > SINGULAR * max(energies[-1], stiffness.max()):
-        raise ValueError(
-            "the functional has no unique minimiser: the images, the bubbles and the fixed "
-            "pixels leave a motion without smoothness energy undetermined"
+        raise InputError(
+            "the functional has no unique minimiser: images, bubbles and edges leave a motion"
+            " undetermined; give a bubble or an edge, or a smaller mask"
         )
 
     def grid(T: Array, free: NDArray[np.bool_], h1: float, h2: float) -> Level | Coarsest:

@@ -241,18 +241,18 @@ def coarsen(T, J, t, nc):
     out = np.empty((K, 3, nc, n))
     for i in prange(n):
         for k in range(K):
-            s = np.zeros((3, nc))
+            s = np.zeros((5, nc))  # bands -2..2
             for b in range(bands):
                 shift = b - bands // 2
                 for j in range(max(0, -shift), m - max(0, shift)):
-                    l = j + shift
-                    for p in range(2):
-                        w = (t[j] if p else 1 - t[j]) * T[k, b, i, j]
-                        for q in range(2):
-                            d = J[l] + q - J[j] - p + 1
-                            d = d if 0 <= d <= 2 else 1
-                            s[d, J[j] + p] += w * (t[l] if q else 1 - t[l])
-            out[k, :, :, i] = s
+                    v, p, q = T[k, b, i, j], t[j], t[j + shift]
+                    d = 2 + J[j + shift] - J[j]
+                    s[d, J[j]] += (1 - p) * (1 - q) * v
+                    s[d + 1, J[j]] += (1 - p) * q * v
+                    s[d - 1, J[j] + 1] += p * (1 - q) * v
+                    s[d, J[j] + 1] += p * q * v
+            s[2] += s[0] + s[4]
+            out[k, :, :, i] = s[1:4]
     return out
 
 

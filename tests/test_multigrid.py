@@ -5,12 +5,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracle import direct
 from scipy.ndimage import gaussian_filter
 
 from eofm import stencils
+from eofm.errors import InputError
 from eofm.functional import Grid, Pointwise, Quadratic
 from eofm.multigrid import NotConverged, hierarchy, multigrid
-from eofm.solver import direct
 
 SMOOTHNESS = ("gradient", "bending")
 
@@ -51,7 +52,7 @@ def solve(F, **options):
     return v, residuals
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=25, deadline=None, derandomize=True)
 @given(
     shape=st.tuples(st.integers(8, 70), st.integers(8, 70)),
     spacing=st.tuples(st.sampled_from([0.5, 1.0, 1.7]), st.sampled_from([0.5, 1.0, 2.0])),
@@ -76,9 +77,9 @@ def test_agrees_with_the_direct_solver(shape, smoothness, **kind):
     [
         ((8, 500), (1.0, 1.0)),
         ((17, 333), (1.0, 1.0)),
-        ((97, 101), (1.0, 1.0)),
-        ((128, 96), (4.0, 1.0)),
-        ((66, 130), (1.0, 3.0)),
+        ((67, 71), (1.0, 1.0)),
+        ((96, 64), (4.0, 1.0)),
+        ((50, 130), (1.0, 3.0)),
     ],
 )
 @pytest.mark.parametrize(("image", "scale"), [("speckle", 1.0), ("bubbles", 1.0), ("half", 255.0)])
@@ -121,7 +122,7 @@ def test_product_is_that_of_the_matrix(smoothness):
 def test_same_bytes_with_one_and_two_threads(smoothness):
     if numba.config.NUMBA_NUM_THREADS < 2:
         pytest.skip("one processor")
-    F = problem((150, 201), smoothness, image="bubbles")
+    F = problem((101, 130), smoothness, image="bubbles")
     before = numba.get_num_threads()
     try:
         results = []
@@ -154,5 +155,5 @@ def test_fails_honestly():
 def test_undetermined_motions(shape, smoothness, free):
     F = problem(shape, smoothness, free="all")
     F.free[0] = free == "all"
-    with pytest.raises(ValueError, match="no unique minimiser"):
+    with pytest.raises(InputError, match="no unique minimiser"):
         multigrid(Quadratic(F.grid, Pointwise(0 * F.terms.A, F.terms.b), 1.0, F.free, smoothness))

@@ -10,7 +10,7 @@ import types
 from pathlib import Path
 from typing import get_args
 
-from eofm.config import Config, Section
+from eofm.config import Config, Pair, Section
 
 FOLDER = Path(__file__).parents[2] / "config"
 MARK = "<!-- The tables below are written by workflow/scripts/describe_config.py. -->"
@@ -24,7 +24,7 @@ def schema() -> str:
 def readme(text: str) -> str:
     """The README with its tables, below the mark, made anew."""
     head, _, _ = text.partition(MARK)
-    return head + MARK + "\n" + "\n".join(_tables(Config, ""))
+    return head + MARK + "\n" + "\n".join([*_tables(Config, ""), *_tables(Pair, "pair.")])
 
 
 def _tables(model: type[Section], path: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""Solve ``a(u, v) = b(v)`` for all v, eq. (a_b)."""
+"""A direct solver, as an oracle for the multigrid one."""
 
 import numpy as np
 from numpy.typing import NDArray
