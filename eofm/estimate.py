@@ -1,5 +1,7 @@
 """The elastographic optical flow method: all five tests of the paper, and your images."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
@@ -94,56 +96,87 @@ def estimate_displacement(
             f"images, background and dead zones differ in size ({listed} px);"
             " crop or resample them to one"
         )
-    # Everything below is in true lengths, with pixels of area 1.
-    spacing = np.array(pixel_size) / np.sqrt(np.prod(pixel_size))
-    u_bg = spacing[:, None, None] * background
-    v_edges = {
-        edge: spacing[:, None] * g - u_bg[:, *EDGES[edge]] for edge, g in (edges or {}).items()
-    }
+    # From here on lengths are true, in a unit that gives pixels the area 1.
+    h1, h2 = np.array(pixel_size) / np.sqrt(np.prod(pixel_size))
+    h = np.array([[h1], [h2]])
+    u_bg = h[..., None] * background
+    v_edges = {edge: h * g - u_bg[:, *EDGES[edge]] for edge, g in (edges or {}).items()}
     v_edges |= {edge: np.zeros_like(u_bg[:, *EDGES[edge]]) for edge in settings.zero_edges}
-    hard = v_edges if settings.edge_weight is None else {}
     x, motion = _bubble_arrays(bubbles)
-    motion = spacing[:, None] * (motion - evaluate_field(background, x))
-    x = spacing[:, None] * x
-
-    def improve(grid: Grid, I1: Array, I2: Array, u: Array) -> Array:
-        u_bg_here = resize_field(u_bg, grid.shape)
-        live = resize(dead.astype(float), grid.shape) < 0.5
-        grad_I = gradient(I1, grid.spacing)
-        prescribed, free = _prescribed(grid, hard)
-        beta = _weights(grid, x, v_edges, settings)
-        known = speckle_term(grid, x, motion, beta, settings.sigma)
-        if settings.edge_weight:
-            known += edge_term(grid, _on_edges(grid, v_edges), settings.edge_weight)
-        for _ in range(settings.warps):
-            data = _linearised(grid, I1, I2, grad_I, u, u_bg_here, live)
-            F = Quadratic(grid, known + data, settings.alpha, free)
-            u = u_bg_here + prescribed + multigrid(F.shifted(prescribed))
-        return u
-
-    if settings.local_window:
-        # The window is given in px of the unit above.
-        windows = settings.local_window / spacing
-        I1, I2 = (normalise_locally(I, (windows[0], windows[1])) for I in normalise(I1, I2))
-    else:
-        I1, I2 = normalise(I1, I2, settings.limits)
+    update = h * (motion - evaluate_field(background, x))
+    problem = _Problem(settings, u_bg, v_edges, h * x, update, dead.astype(float))
+    I1, I2 = _normalised(I1, I2, settings, (h1, h2))
     u = coarse_to_fine(
         I1,
         I2,
-        improve,
+        problem.improve,
         scales=settings.scales,
         factor=settings.factor,
-        spacing=(spacing[0], spacing[1]),
+        spacing=(h1, h2),
         start=u_bg if settings.start == "background" else None,
         progress=progress,
     )
-    return u / spacing[:, None, None]
+    return u / h[..., None]
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """All that F is made of beside the images, in true lengths.
+
+    Attributes
+    ----------
+    settings : Estimation
+    u_bg : ndarray, shape (2, height, width)
+    v_edges : dict of ndarray, shape (2, n)
+        ``v`` on the edges of known motion.
+    x, motion : ndarray, shape (2, M)
+        Bubbles and their motion less that of the background.
+    dead : ndarray, shape (height, width)
+        1 where there is no data, else 0.
+    """
+
+    settings: Estimation
+    u_bg: Array
+    v_edges: dict[Edge, Array]
+    x: Array
+    motion: Array
+    dead: Array
+
+    def improve(self, grid: Grid, I1: Array, I2: Array, u: Array) -> Array:
+        """A better displacement than ``u`` for the images on a grid."""
+        settings = self.settings
+        u_bg = resize_field(self.u_bg, grid.shape)
+        live = resize(self.dead, grid.shape) < 0.5
+        grad_I = gradient(I1, grid.spacing)
+        edges = _on_edges(grid, self.v_edges)
+        beta = _weights(grid, self.x, self.v_edges, settings)
+        known = speckle_term(grid, self.x, self.motion, beta, settings.sigma)
+        if settings.edge_weight:
+            known += edge_term(grid, edges, settings.edge_weight)
+            edges = {}
+        prescribed, free = _prescribed(grid, edges)
+        for _ in range(settings.warps):
+            data = _linearised(grid, I1, I2, grad_I, u, u_bg, live)
+            F = Quadratic(grid, known + data, settings.alpha, free)
+            u = u_bg + prescribed + multigrid(F.shifted(prescribed))
+        return u
+
+
+def _normalised(
+    I1: Array, I2: Array, settings: Estimation, spacing: tuple[float, float]
+) -> tuple[Array, Array]:
+    if settings.local_window is None:
+        return normalise(I1, I2, settings.limits)
+    h1, h2 = spacing
+    window = settings.local_window / h1, settings.local_window / h2
+    I1, I2 = normalise(I1, I2)
+    return normalise_locally(I1, window), normalise_locally(I2, window)
 
 
 def _prescribed(grid: Grid, edges: dict[Edge, Array]) -> tuple[Array, NDArray[np.bool_]]:
     """A field that is ``v`` on the edges where it is prescribed, and the other pixels."""
     p, free = np.zeros((2, *grid.shape)), np.ones(grid.shape, dtype=bool)
-    for edge, v in _on_edges(grid, edges).items():
+    for edge, v in edges.items():
         p[:, *EDGES[edge]] = v
         free[EDGES[edge]] = False
     return p, free
