@@ -130,3 +130,14 @@ def sample_files(row):
     names = [t[0] if isinstance(t, list) and t else t for t in texts]
     files = [str(name).partition("#")[0] for name in names if name]
     return [f for f in files if f.startswith("results/") or Path(f).is_file()]
+
+
+def sample_figure(name):
+    """A figure of a sample, shown in the report."""
+    return report(
+        f"results/samples/{{sample}}/{name}.png",
+        caption="../report/sample.rst",
+        category="Samples",
+        subcategory="{sample}",
+        labels={"result": name},
+    )

@@ -12,7 +12,8 @@ rule figure_sample:
         png=report(
             "results/figures/figure3.png",
             caption="../report/figure3.rst",
-            category="Sample",
+            category="Phantom",
+            labels={"figure": "3: before and after"},
         ),
         pdf="results/figures/figure3.pdf",
     log:
@@ -35,7 +36,8 @@ rule figure_truth:
         png=report(
             "results/figures/figure4.png",
             caption="../report/figure4.rst",
-            category="Sample",
+            category="Phantom",
+            labels={"figure": "4: true displacement"},
         ),
         pdf="results/figures/figure4.pdf",
     log:
@@ -61,6 +63,7 @@ rule figure_test:
             "results/figures/{figure}.png",
             caption="../report/figure_test.rst",
             category="Tests",
+            labels={"figure": "{figure}"},
         ),
         pdf="results/figures/{figure}.pdf",
     log:

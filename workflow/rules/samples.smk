@@ -22,16 +22,12 @@ rule sample:
             caption="../report/sample_summary.rst",
             category="Samples",
             subcategory="{sample}",
+            labels={"result": "summary"},
         ),
-        figures=report(
-            expand(
-                "results/samples/{{sample}}/{figure}.png",
-                figure=["pair", "displacement", "strain", "quality"],
-            ),
-            caption="../report/sample.rst",
-            category="Samples",
-            subcategory="{sample}",
-        ),
+        pair=sample_figure("pair"),
+        fields=sample_figure("displacement"),
+        strains=sample_figure("strain"),
+        quality=sample_figure("quality"),
     log:
         "logs/samples/{sample}.log",
     benchmark:
