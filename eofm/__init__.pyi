@@ -3,9 +3,11 @@ from .bubbles import track as track
 from .config import Estimation as Estimation
 from .config import Figures as Figures
 from .config import Forward as Forward
+from .config import Identification as Identification
 from .config import Inclusion as Inclusion
 from .config import Pair as Pair
 from .config import Phantom as Phantom
+from .config import Preset as Preset
 from .config import Sample as Sample
 from .config import Tracking as Tracking
 from .elasticity import background_field as background_field
@@ -15,3 +17,7 @@ from .estimate import estimate_displacement as estimate_displacement
 from .metrics import relative_errors as relative_errors
 from .pairs import analyse as analyse
 from .phantom import make_phantom as make_phantom
+from .preset import estimate_preset as estimate_preset
+from .stiffness import estimate_identified as estimate_identified
+from .stiffness import identify_stiffness as identify_stiffness
+from .uncertainty import deviations as deviations

@@ -13,7 +13,17 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from eofm import io
-from eofm.config import Estimation, Forward, Pair, Phantom, Sample, Section, Tracking
+from eofm.config import (
+    Estimation,
+    Forward,
+    Identification,
+    Pair,
+    Phantom,
+    Preset,
+    Sample,
+    Section,
+    Tracking,
+)
 from eofm.errors import InputError
 
 S = TypeVar("S", bound=Section)
@@ -108,6 +118,61 @@ def estimate(args: argparse.Namespace) -> None:
     io.write_field(args.output, u)
 
 
+def preset(args: argparse.Namespace) -> None:
+    r"""Displacement as accurately as this package can: bending energy, weight by the images.
+
+      eofm preset before.tif after.tif --output u.tif --deviation sd.tif
+
+    The weight of the smoothness is chosen on held-out blocks of pixels. --deviation writes
+    the standard deviation per pixel. Name --zero-edges only where a --background is exact.
+    """
+    from eofm.preset import estimate_preset
+
+    settings = _settings(Preset, args)
+    I1, I2 = io.read_pair(args.reference, args.deformed)
+    found = estimate_preset(
+        I1,
+        I2,
+        settings,
+        bubbles=args.bubbles and io.read_bubbles(args.bubbles),
+        background=args.background and io.read_field(args.background, I1.shape),
+        progress=True,
+    )
+    io.write_field(args.output, found.u)
+    if args.deviation:
+        io.write_field(args.deviation, found.deviation())
+
+
+def stiffness(args: argparse.Namespace) -> None:
+    r"""Young's modulus relative to the background, and the displacement that goes with it.
+
+      eofm stiffness before.tif after.tif --output E.tif --displacement u.tif \
+          --height 108 --width 180 --compression 3.53 --poisson-ratio 0.492
+
+    The images show the whole sample, fixed on top and moved by a known compression at the
+    bottom, px. --deviation writes the standard deviations of u1, u2 (px) and log E.
+    """
+    import numpy as np
+
+    from eofm.stiffness import estimate_identified
+    from eofm.uncertainty import deviations
+
+    sample = _settings(Sample, args)
+    preset = _settings(Preset, args)
+    settings = _settings(Identification, args)
+    I1, I2 = io.read_pair(args.reference, args.deformed)
+    bubbles = args.bubbles and io.read_bubbles(args.bubbles)
+    estimate, found = estimate_identified(
+        I1, I2, sample, bubbles=bubbles, settings=settings, preset=preset
+    )
+    io.write_image(args.output, found.E)
+    io.write_field(args.displacement, estimate.u)
+    if args.deviation:
+        u, log_E = deviations(found)
+        labels = ["sd of u1 [px]", "sd of u2 [px]", "sd of log E"]
+        io.write_pages(args.deviation, np.concatenate([u, log_E[None]]), labels)
+
+
 def evaluate(args: argparse.Namespace) -> None:
     """Relative errors (percent) and largest errors (px) of an estimated field.
 
@@ -184,6 +249,26 @@ STEPS: dict[Callable[..., None], tuple[dict[str, str], dict[str, str], list[type
         {},
         {"OUTPUT": "folder to write the results to", "settings": "file of settings (YAML)"},
         [Pair, Tracking, Estimation],
+    ),
+    preset: (
+        PAIR,
+        {
+            "OUTPUT": "field to write (TIFF)",
+            "bubbles": "table of tracked bubbles (CSV)",
+            "background": "background field (TIFF)",
+            "deviation": "field of standard deviations to write (TIFF)",
+        },
+        [Preset],
+    ),
+    stiffness: (
+        PAIR,
+        {
+            "OUTPUT": "relative modulus to write (TIFF)",
+            "DISPLACEMENT": "field to write (TIFF)",
+            "bubbles": "table of tracked bubbles (CSV)",
+            "deviation": "standard deviations to write (TIFF)",
+        },
+        [Sample, Preset, Identification],
     ),
     evaluate: (
         {"estimate": "estimated field (TIFF)", "truth": "true field (TIFF)"},

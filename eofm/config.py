@@ -188,6 +188,47 @@ class Estimation(Section):
         return self
 
 
+class Preset(Section):
+    """Settings of the accurate estimate."""
+
+    alpha: Positive | None = Field(
+        None, description="weight of the bending energy; none: chosen by cross-validation"
+    )
+    alpha_start: Positive = Field(1.0, description="weight on the coarse scales, and first tried")
+    alpha_range: Range = Field((0.01, 1000.0), description="least and largest weight tried")
+    beta: float = Field(0.5, ge=0, description="weight of the speckle term on coarse scales")
+    sigma: Positive = Field(5.0, description="width of its Gaussians g_sigma, px")
+    scales: int = Field(4, ge=1, description="scales; fewer are used where the image is small")
+    factor: float = Field(0.5, gt=0, lt=1, description="ratio of the sizes of two scales")
+    warps: int = Field(3, ge=2, description="linear solves per scale, each after a warp")
+    knots: Positive = Field(3.0, description="distance of the spline's knots, px")
+    block: int = Field(8, ge=2, description="side of the blocks that are held out, px")
+    zero_edges: tuple[Edge, ...] = Field((), description="edges where the background is exact")
+    limits: Range | None = Field(
+        None, description="intensities that become 0 and 1; none: extremes of both images"
+    )
+
+
+class Identification(Section):
+    """Settings of the identification."""
+
+    cell: Positive = Field(2.5, description="side of the elements that carry E, px")
+    gamma: Positive | None = Field(
+        None, description="weight of the total variation; none: chosen on held-out blocks"
+    )
+    gamma_range: Range = Field((0.01, 30.0), description="weights tried, downwards")
+    clear: float = Field(2.0, ge=0, description="standard errors that make a gain clear")
+    epsilon: Positive = Field(0.02, description="gradient of log E that counts as an edge, 1/px")
+    iterations: int = Field(30, ge=1, description="largest number of Gauss-Newton steps")
+    tolerance: Positive = Field(5.0, description="gain in log-likelihood at which they stop")
+    damping: Positive = Field(1.0, description="Levenberg's damping at the start")
+    fit_compression: bool = Field(
+        False, description="whether to read the motion of the bottom from the images first"
+    )
+    rounds: int = Field(2, ge=1, description="largest number of rounds of test 6")
+    settled: Positive = Field(2e-3, description="relative change of u at which test 6 stops")
+
+
 class Pair(Section):
     """A pair of images, or a sequence, and what is known of the sample."""
 
@@ -270,6 +311,8 @@ class Config(Section):
     estimation: Estimation = Estimation()
     tests: dict[str, Variant] = {}
     figures: Figures = Figures()
+    preset: Preset = Preset()
+    identification: Identification = Identification()
     samples: str = Field("config/samples.tsv", description="table of your own image pairs (TSV)")
 
     def variant(self, name: str) -> Estimation:

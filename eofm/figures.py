@@ -124,6 +124,25 @@ def quality(residual: Array, inconsistency: Array, share: Array, settings: Figur
     return figure
 
 
+def moduli(truth: Array, E: Array, deviation: Array, settings: Figures) -> Figure:
+    """True and identified modulus on one logarithmic scale, and the deviation of log E."""
+    largest = np.abs(np.log10(np.stack([truth, E]))).max()
+    sides = zip(E.shape[::-1], settings.pixel_size, strict=True)
+    x1, x2 = (np.arange(n) * p for n, p in sides)
+    with mpl.rc_context(STYLE):
+        figure, axes = _panels(1, 3, E.shape, settings)
+        limits, names = (-largest, largest), ("true", "identified")
+        for axis, values, name in zip(axes[0, :2], (truth, E), names, strict=True):
+            title = f"$\\log_{{10}} E / E_{{bg}}$, {name}"
+            _show(axis, np.log10(values), title, "PuOr_r", limits, "", settings)
+            if np.ptp(truth):
+                axis.contour(x1, x2, truth, [np.sqrt(truth.min() * truth.max())], colors="black")
+        top = float(deviation.max())
+        _show(axes[0, 2], deviation, "deviation of $\\ln E$", "magma_r", (0, top), "", settings)
+        _label(axes)
+    return figure
+
+
 def draw_component(
     axis: Axes, values: Array, i: int, limits: tuple[float, float], settings: Figures
 ) -> None:

@@ -1,6 +1,14 @@
 """Figures 3 to 7 of the paper, and tests 2 and 4 drawn in the same way."""
 
-SHOWN = {"figure5": "1", "figure6": "3", "figure7": "5", "test2": "2", "test4": "4"}
+SHOWN = {
+    "figure5": "1",
+    "figure6": "3",
+    "figure7": "5",
+    "test2": "2",
+    "test4": "4",
+    "test5b": "5b",
+    "test6": "6",
+}
 
 
 rule figure_sample:

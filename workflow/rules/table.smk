@@ -17,7 +17,7 @@ rule evaluate:
     benchmark:
         "benchmarks/evaluate/{test}.tsv"
     wildcard_constraints:
-        test="|".join(["background", *TESTS]),
+        test="|".join(["background", *TESTS, "5b", "6"]),
     resources:
         mem_mb=300,
     shell:

@@ -1,0 +1,160 @@
+"""The functional of `eofm.stiffness` on elements, its minimiser, and the choice of its weight."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.sparse.linalg import LinearOperator, cg
+
+from eofm.config import Identification
+from eofm.functional import Pointwise
+from eofm.sensitivity import Elastic, State
+from eofm.splines import band
+
+Array = NDArray[np.float64]
+
+# Contrasts beyond 10 cannot be told apart: the inclusion is rigid, or empty.
+LARGEST = np.log(30)
+# Part of the prior's mean diagonal that pulls log E to 0: stiffness has no absolute scale
+# where all motions are prescribed.
+ANCHOR = 1e-6
+STEP = 3.0
+
+
+@dataclass(frozen=True)
+class Problem:
+    """The linearised images and the forward model."""
+
+    model: Elastic
+    correction: Array
+    data: Pointwise
+    epsilon: float
+
+    def state(self, m: Array) -> State:
+        """Elastic state of ``m``."""
+        return self.model.solve(LARGEST * np.tanh(m / LARGEST))
+
+    def u(self, state: State) -> Array:
+        """Its displacement; the error of the mesh for E = 1 is taken off, px."""
+        return self.model.to_pixels(state.u) + self.correction
+
+    def cost(self, m: Array, state: State, gamma: float) -> float:
+        """Value of the functional, bar a constant."""
+        u = self.u(state)
+        fit = (_apply(self.data.A, u) * u - 2 * self.data.b * u).sum()
+        size = np.sqrt(sum((D @ m.ravel()) ** 2 for D in self.gradients) + self.epsilon**2)
+        return float(fit + 2 * gamma * self.area * size.sum())
+
+    def improve(self, m: Array, state: State, gamma: float, damping: float) -> Array:
+        """Damped Gauss-Newton step from ``m``."""
+        right = self.back(m, state, self.misfit(state)) - gamma * self.prior(m) @ m.ravel()
+        return self.solve(m, state, gamma, damping, right)
+
+    def misfit(self, state: State) -> Array:
+        """Half the negative slope of the data term in u, shape (2, height, width)."""
+        return self.data.b - _apply(self.data.A, self.u(state))
+
+    def back(self, m: Array, state: State, f: Array) -> Array:
+        """Adjoint of the derivative of u by ``m``, flattened."""
+        return (slope(m) * state.adjoint(f)).ravel()
+
+    def solve(self, m: Array, state: State, gamma: float, damping: float, right: Array) -> Array:
+        """Gauss-Newton system, by conjugate gradients with the damped prior's inverse."""
+        damped = gamma * self.prior(m) + damping * sp.eye_array(m.size)
+        factor = cholesky_banded(band(damped), lower=True)
+
+        def hessian(d: Array) -> Array:
+            du = state.derivative(slope(m) * d.reshape(m.shape))
+            return self.back(m, state, _apply(self.data.A, du)) + damped @ d
+
+        shape = (m.size, m.size)
+        step, _ = cg(
+            LinearOperator(shape, hessian),
+            right,
+            M=LinearOperator(shape, lambda r: cho_solve_banded((factor, True), r)),
+            rtol=1e-2,
+            maxiter=60,
+        )
+        return step.reshape(m.shape)
+
+    def prior(self, m: Array) -> sp.csr_array:
+        """Matrix of ``int |grad d|^2 / sqrt(|grad m|^2 + epsilon^2)`` for d on the elements."""
+        D1, D2 = self.gradients
+        size = np.sqrt((D1 @ m.ravel()) ** 2 + (D2 @ m.ravel()) ** 2 + self.epsilon**2)
+        W = sp.diags_array(self.area / size)
+        R = D1.T @ W @ D1 + D2.T @ W @ D2
+        return R + ANCHOR * R.diagonal().mean() * sp.eye_array(m.size)
+
+    @property
+    def area(self) -> float:
+        """Of an element, px^2."""
+        return self.model.sides[0] * self.model.sides[1]
+
+    @cached_property
+    def gradients(self) -> tuple[sp.csr_array, sp.csr_array]:
+        """Forward differences along x1 and x2, zero at the far ends, 1/px."""
+        T2, T1 = (
+            sp.diags_array([np.r_[-np.ones(k - 1), 0], np.ones(k - 1)], offsets=[0, 1]) / h
+            for k, h in zip(self.model.shape, self.model.sides[::-1], strict=True)
+        )
+        rows, columns = self.model.shape
+        return sp.kron(sp.eye_array(rows), T1, "csr"), sp.kron(T2, sp.eye_array(columns), "csr")
+
+
+def gauss_newton(problem: Problem, m: Array, gamma: float, settings: Identification) -> Array:
+    """Minimiser for one weight, started from ``m``.
+
+    Levenberg's damping falls with every step that improves and grows with every other:
+    where E is extreme, the images hardly change with it, and plain steps overshoot.
+    """
+    state = problem.state(m)
+    cost = problem.cost(m, state, gamma)
+    damping = settings.damping
+    for _ in range(settings.iterations):
+        trial = m + problem.improve(m, state, gamma, damping)
+        trial_state = problem.state(trial)
+        gain = cost - problem.cost(trial, trial_state, gamma)
+        if gain <= 0:
+            damping *= 8
+            continue
+        m, state, cost, damping = trial, trial_state, cost - gain, damping / 4
+        if gain < settings.tolerance:
+            break
+    return m
+
+
+def choose_gamma(
+    problem: Problem, losses: Callable[[Array], Array], settings: Identification
+) -> tuple[float, Array]:
+    """Largest weight whose successor is not clearly better, and its ``m``.
+
+    ``losses(u)`` holds the misfit of each held-out block. A third of the weight counts as
+    better where their mean falls by more than ``clear`` standard errors of the difference
+    (as in the rule of one standard error, Breiman et al., Classification and Regression
+    Trees, 1984, but between paired blocks); otherwise the stronger prior is kept.
+    """
+    low, gamma = settings.gamma_range
+    m = gauss_newton(problem, np.zeros(problem.model.shape), gamma, settings)
+    loss = losses(problem.u(problem.state(m)))
+    while gamma / STEP >= low:
+        trial = gauss_newton(problem, m, gamma / STEP, settings)
+        trial_loss = losses(problem.u(problem.state(trial)))
+        gains = loss - trial_loss
+        if gains.mean() <= settings.clear * gains.std() / np.sqrt(gains.size):
+            break
+        gamma, m, loss = gamma / STEP, trial, trial_loss
+    return gamma, m
+
+
+def slope(m: Array) -> Array:
+    """Return the derivative of log E by ``m``: 1 where E is moderate, 0 where it is extreme."""
+    return 1 - np.tanh(m / LARGEST) ** 2
+
+
+def _apply(A: Array, u: Array) -> Array:
+    """Product of one symmetric 2 x 2 matrix per pixel with a field."""
+    return np.stack([A[0] * u[0] + A[1] * u[1], A[1] * u[0] + A[2] * u[1]])

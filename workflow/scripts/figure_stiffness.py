@@ -1,0 +1,20 @@
+"""True and identified modulus with the true outline, and the error bar of its logarithm."""
+
+from pathlib import Path
+
+import numpy as np
+
+from eofm import io
+from eofm.config import Figures, Sample
+from eofm.elasticity import lame
+from eofm.figures import moduli, save
+
+settings = Figures(**snakemake.params.figures)
+sample = Sample(**snakemake.params.sample)
+x = np.mgrid[: sample.height, : sample.width][::-1].astype(float)
+mu = lame(sample, x)[1]
+plain = lame(sample.model_copy(update={"inclusions": ()}), x)[1]
+E = io.read_image(Path(snakemake.input.stiffness))
+deviation = io.read_pages(Path(snakemake.input.deviation), 3)[2]
+figure = moduli(mu / plain, E, deviation, settings)
+save(figure, [Path(snakemake.output.png), Path(snakemake.output.pdf)], settings)
