@@ -6,9 +6,11 @@ from .config import Inclusion as Inclusion
 from .config import Phantom as Phantom
 from .config import Sample as Sample
 from .config import Tracking as Tracking
+from .config import VirtualOct as VirtualOct
 from .elasticity import background_field as background_field
 from .elasticity import true_field as true_field
 from .errors import InputError as InputError
 from .estimate import estimate_displacement as estimate_displacement
 from .metrics import relative_errors as relative_errors
 from .phantom import make_phantom as make_phantom
+from .virtual_oct import make_tomograms as make_tomograms

@@ -4,12 +4,13 @@ Positions are in um, displacements in px; depth grows downwards. The colour maps
 safe for colour-blind readers, and level lines carry the values in print.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
@@ -43,6 +44,46 @@ def image_pair(I1: Array, I2: Array, settings: Figures = Figures()) -> Figure:
             shown = axis.imshow(I, "gray", vmin=low, vmax=high, extent=_extent(I.shape, settings))
             axis.set_title(f"{title} compression")
         _colour_bar(axes[0, 1], shown, "intensity")
+        _label(axes)
+    return figure
+
+
+def moving_bubbles(
+    I1: Array, I2: Array, bubbles: pd.DataFrame, settings: Figures = Figures()
+) -> Figure:
+    """Images before and after, with arrows of true length from each bubble to where it goes."""
+    figure = image_pair(I1, I2, settings)
+    x1, x2, u1, u2 = settings.pixel_size * bubbles[["x1", "x2", "u1", "u2"]].to_numpy(float).T
+    style: Any = {"color": "red", "angles": "xy", "scale_units": "xy", "scale": 1}
+    for axis in figure.axes[:2]:
+        axis.quiver(x1, x2, u1, u2, width=0.0022, headwidth=4, headlength=4, **style)
+    return figure
+
+
+def compare_fields(fields: Mapping[str, Array], settings: Figures = Figures()) -> Figure:
+    """Several fields by the names of their methods: u1 above u2, one scale in a row."""
+    with mpl.rc_context(STYLE):
+        figure, axes = _panels(2, len(fields), next(iter(fields.values())).shape[1:])
+        for i in (0, 1):
+            limits = _limits(np.stack([u[i] for u in fields.values()]), i)
+            for axis, (name, u) in zip(axes[i], fields.items(), strict=True):
+                _draw(axis, u[i], f"{name}: ${COMPONENTS[i]}$", MAPS[i], limits, settings)
+        _label(axes)
+    return figure
+
+
+def compare_errors(
+    fields: Mapping[str, Array], truth: Array, settings: Figures = Figures()
+) -> Figure:
+    """Absolute errors of several fields: u1 above u2, one scale in a row."""
+    with mpl.rc_context(STYLE):
+        figure, axes = _panels(2, len(fields), truth.shape[1:])
+        for i in (0, 1):
+            errors = {name: np.abs(u[i] - truth[i]) for name, u in fields.items()}
+            limits = (0.0, max(float(error.max()) for error in errors.values()) or 1.0)
+            for axis, (name, error) in zip(axes[i], errors.items(), strict=True):
+                title = f"{name}: error of ${COMPONENTS[i]}$, at most {error.max():.2f} px"
+                _draw(axis, error, title, "magma_r", limits, settings)
         _label(axes)
     return figure
 

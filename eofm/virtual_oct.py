@@ -48,9 +48,7 @@ class Experiment(NamedTuple):
     background: Array
 
 
-def make_tomograms(
-    u: Array, background: Array, settings: VirtualOct = VirtualOct()
-) -> Experiment:
+def make_tomograms(u: Array, background: Array, settings: VirtualOct = VirtualOct()) -> Experiment:
     """Tomograms of the inside of a sample before and after a displacement.
 
     Parameters
@@ -80,7 +78,7 @@ def make_tomograms(
     whole = enlarged(u.shape[1:], settings.scale)
     rows, columns = region(whole, settings.margin)
     pixels = np.stack(np.meshgrid(columns, rows))
-    truth, known = (motion(f, pixels.astype(float), settings.scale) for f in (u, background))
+    truth, known = (motion(f, pixels, settings.scale) for f in (u, background))
     scatterers = fill(whole, settings)
     moved = scatterers._replace(x=scatterers.x + motion(u, scatterers.x, settings.scale))
     noise = np.random.default_rng([settings.seed, 2])
@@ -106,7 +104,7 @@ def region(shape: tuple[int, int], margin: tuple[float, float]) -> tuple[Array, 
         If it is narrower than 8 px.
     """
     cut = [int(np.ceil(m * (n - 1))) for m, n in zip(margin[::-1], shape, strict=True)]
-    rows, columns = (np.arange(c, n - c) for c, n in zip(cut, shape, strict=True))
+    rows, columns = (np.arange(c, n - c, dtype=np.float64) for c, n in zip(cut, shape, strict=True))
     if min(len(rows), len(columns)) < 8:
         raise InputError(
             f"margin: leaves {len(rows)} x {len(columns)} px of a sample of {shape[0]} x"
@@ -122,16 +120,14 @@ def motion(u: Array, x: Array, scale: float) -> Array:
 
 def fill(shape: tuple[int, int], settings: VirtualOct) -> Scatterers:
     """Weak scatterers everywhere and a few strong reflectors, at random places."""
-    place, look = (np.random.default_rng([settings.seed, k]) for k in (0, 1))
+    weak, strong = (np.random.default_rng([settings.seed, k]) for k in (0, 1))
     sides = np.array(shape[::-1]) - 1.0
-    w1, w2 = widths(settings)
-    density = settings.density / (np.pi * w1 * w2)
-    weak = round(density * sides.prod())
-    x = place.uniform(0, sides, (weak + settings.reflectors, 2)).T
-    # The mean intensity of a random sum is density * int |psf|^2 * mean square amplitude.
-    matrix = np.full(weak, settings.density**-0.5)
-    levels = look.uniform(*settings.reflector_level, settings.reflectors)
-    return Scatterers(x, np.concatenate([matrix, 10 ** (levels / 20)]))
+    count = round(settings.density * sides.prod() / (np.pi * np.prod(widths(settings))))
+    x = weak.uniform(0, sides, (count, 2)), strong.uniform(0, sides, (settings.reflectors, 2))
+    # The mean intensity is then int |psf|^2 / (pi w1 w2) = 1.
+    matrix = np.full(count, settings.density**-0.5)
+    level = strong.uniform(*settings.reflector_level, settings.reflectors)
+    return Scatterers(np.concatenate(x).T, np.concatenate([matrix, 10 ** (level / 20)]))
 
 
 def widths(settings: VirtualOct) -> tuple[float, float]:
@@ -144,9 +140,7 @@ def widths(settings: VirtualOct) -> tuple[float, float]:
     return float(w1), float(w2)
 
 
-def echoes(
-    scatterers: Scatterers, rows: Array, columns: Array, settings: VirtualOct
-) -> Complex:
+def echoes(scatterers: Scatterers, rows: Array, columns: Array, settings: VirtualOct) -> Complex:
     """Coherent sum of the echoes at the pixels, shape (height, width), free of noise.
 
     The point-spread function is a product, so the image is a product of two sparse
@@ -158,15 +152,16 @@ def echoes(
     attenuation = np.exp(-settings.attenuation * depth / 1000)
     echo = scatterers.amplitude * attenuation * np.exp(1j * phase)
     w1, w2 = widths(settings)
-    lateral, axial = _factor(x1 - columns[0], len(columns), w1), _factor(x2 - rows[0], len(rows), w2)
+    lateral, axial = (
+        _factor(x1 - columns[0], len(columns), w1),
+        _factor(x2 - rows[0], len(rows), w2),
+    )
     return (axial.multiply(echo).tocsr() @ lateral.T.tocsr()).toarray()
 
 
 def add_noise(A: Complex, rng: np.random.Generator, settings: VirtualOct) -> Complex:
     """Add shot noise of the reference arm, which is white and complex normal."""
-    if settings.noise is None:
-        return A
-    size = np.sqrt(0.5) * 10 ** (settings.noise / 20)
+    size = np.sqrt(settings.noise / 2)
     return A + size * (rng.normal(size=A.shape) + 1j * rng.normal(size=A.shape))
 
 
