@@ -33,6 +33,7 @@ MAPS = ("RdBu_r", "viridis")
 COMPONENTS = ("u_1", "u_2")
 NAMES = ("lateral", "axial")
 WIDTH = 3.4  # of one panel, inches
+ARROWS = 250
 
 
 def image_pair(I1: Array, I2: Array, settings: Figures = Figures()) -> Figure:
@@ -51,12 +52,16 @@ def image_pair(I1: Array, I2: Array, settings: Figures = Figures()) -> Figure:
 def moving_bubbles(
     I1: Array, I2: Array, bubbles: pd.DataFrame, settings: Figures = Figures()
 ) -> Figure:
-    """Images before and after, with arrows of true length from each bubble to where it goes."""
+    """Images before and after, with arrows of true length from bubbles to where they go.
+
+    More arrows than ``ARROWS`` would hide the images: every second or third bubble, then.
+    """
     figure = image_pair(I1, I2, settings)
-    x1, x2, u1, u2 = settings.pixel_size * bubbles[["x1", "x2", "u1", "u2"]].to_numpy(float).T
+    shown = bubbles.iloc[:: -(-len(bubbles) // ARROWS)]
+    x1, x2, u1, u2 = settings.pixel_size * shown[["x1", "x2", "u1", "u2"]].to_numpy(float).T
     style: Any = {"color": "red", "angles": "xy", "scale_units": "xy", "scale": 1}
     for axis in figure.axes[:2]:
-        axis.quiver(x1, x2, u1, u2, width=0.0022, headwidth=4, headlength=4, **style)
+        axis.quiver(x1, x2, u1, u2, width=0.0025, headwidth=3.5, headlength=3.5, **style)
     return figure
 
 
@@ -75,14 +80,18 @@ def compare_fields(fields: Mapping[str, Array], settings: Figures = Figures()) -
 def compare_errors(
     fields: Mapping[str, Array], truth: Array, settings: Figures = Figures()
 ) -> Figure:
-    """Absolute errors of several fields: u1 above u2, one scale in a row."""
+    """Absolute errors of several fields: u1 above u2, one scale in a row.
+
+    Errors are rougher than fields, so they get half as many level lines.
+    """
+    settings = settings.model_copy(update={"levels": max(settings.levels // 2, 2)})
     with mpl.rc_context(STYLE):
         figure, axes = _panels(2, len(fields), truth.shape[1:])
         for i in (0, 1):
             errors = {name: np.abs(u[i] - truth[i]) for name, u in fields.items()}
             limits = (0.0, max(float(error.max()) for error in errors.values()) or 1.0)
             for axis, (name, error) in zip(axes[i], errors.items(), strict=True):
-                title = f"{name}: error of ${COMPONENTS[i]}$, at most {error.max():.2f} px"
+                title = f"{name}: error of ${COMPONENTS[i]}$ ≤ {error.max():.2f} px"
                 _draw(axis, error, title, "magma_r", limits, settings)
         _label(axes)
     return figure
