@@ -10,6 +10,7 @@ from .config import Phantom as Phantom
 from .config import Preset as Preset
 from .config import Sample as Sample
 from .config import Tracking as Tracking
+from .config import VirtualOct as VirtualOct
 from .elasticity import background_field as background_field
 from .elasticity import true_field as true_field
 from .errors import InputError as InputError
@@ -21,3 +22,4 @@ from .preset import estimate_preset as estimate_preset
 from .stiffness import estimate_identified as estimate_identified
 from .stiffness import identify_stiffness as identify_stiffness
 from .uncertainty import deviations as deviations
+from .virtual_oct import make_tomograms as make_tomograms

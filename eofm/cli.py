@@ -23,6 +23,7 @@ from eofm.config import (
     Sample,
     Section,
     Tracking,
+    VirtualOct,
 )
 from eofm.errors import InputError
 
@@ -73,6 +74,24 @@ def phantom(args: argparse.Namespace) -> None:
     io.write_image(args.reference, I1)
     io.write_image(args.deformed, I2)
     io.write_table(args.table, bubbles)
+
+
+def virtual_oct(args: argparse.Namespace) -> None:
+    r"""OCT tomograms of the inside of a sample, before and after a displacement.
+
+      eofm virtual-oct true.tif background.tif --reference before.tif --deformed after.tif \\
+          --truth true_inside.tif --background background_inside.tif
+
+    The sample is enlarged first; both fields are written for the region of interest, px.
+    """
+    from eofm.virtual_oct import make_tomograms
+
+    u = io.read_field(args.displacement)
+    found = make_tomograms(u, io.read_field(args.homogeneous), _settings(VirtualOct, args))
+    io.write_image(args.reference, found.I1)
+    io.write_image(args.deformed, found.I2)
+    io.write_field(args.truth, found.truth)
+    io.write_field(args.background, found.background)
 
 
 def track(args: argparse.Namespace) -> None:
@@ -231,6 +250,19 @@ STEPS: dict[Callable[..., None], tuple[dict[str, str], dict[str, str], list[type
         },
         [Phantom],
     ),
+    virtual_oct: (
+        {
+            "displacement": "true field of the whole sample (TIFF)",
+            "homogeneous": "its background field (TIFF)",
+        },
+        {
+            "REFERENCE": "tomogram before compression to write (TIFF)",
+            "DEFORMED": "tomogram after compression to write (TIFF)",
+            "TRUTH": "true field in the region of interest to write (TIFF)",
+            "BACKGROUND": "background field in the region of interest to write (TIFF)",
+        },
+        [VirtualOct],
+    ),
     track: (
         PAIR,
         {"OUTPUT": "table to write (CSV)", "prediction": "field that predicts the motion (TIFF)"},
@@ -288,11 +320,15 @@ def main(argv: Sequence[str] | None = None) -> int:
             io.check_folder(getattr(args, output.lower()))
         args.step(args)
     except (InputError, OSError) as error:
-        print(f"eofm {args.step.__name__}: {error}", file=sys.stderr)
+        print(f"eofm {_name(args.step)}: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         return 130
     return 0
+
+
+def _name(step: Callable[..., None]) -> str:
+    return step.__name__.replace("_", "-")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -303,7 +339,7 @@ def _parser() -> argparse.ArgumentParser:
         summary, _, rest = (step.__doc__ or "").partition("\n")
         text = "\n".join(line.removeprefix("    ") for line in rest.splitlines())
         sub = steps.add_parser(
-            step.__name__,
+            _name(step),
             help=summary,
             description=summary + "\n" + text,
             formatter_class=formatter,

@@ -133,6 +133,54 @@ class Phantom(Section):
         return self
 
 
+class VirtualOct(Section):
+    """The virtual OCT experiment: scatterers of the enlarged sample, a microscope, a region."""
+
+    scale: float = Field(
+        2.0, ge=1, le=10, description="enlargement of the sample, its compression included"
+    )
+    margin: Range = Field(
+        (0.05, 0.05), description="part cut away on either side, laterally and axially"
+    )
+    pixel_size: Positive = Field(5.0, description="side of a pixel, um")
+    wavelength: Positive = Field(1.3, description="centre wavelength in vacuum, um")
+    refractive_index: float = Field(1.4, ge=1, description="refractive index of the sample")
+    lateral_resolution: Positive = Field(
+        10.0, description="full width at half maximum of a point's intensity, um"
+    )
+    axial_resolution: Positive = Field(7.0, description="the same in depth, inside the sample, um")
+    density: Positive = Field(
+        10.0, description="weak scatterers of the matrix in the area pi w1 w2 of an echo"
+    )
+    reflectors: int = Field(1500, ge=0, description="number of strong reflectors in the sample")
+    reflector_level: Range = Field(
+        (20.0, 30.0), description="range of their intensities, dB above the matrix's mean"
+    )
+    attenuation: float = Field(1.0, ge=0, description="attenuation coefficient, 1/mm")
+    noise: float = Field(
+        0.3, ge=0, description="intensity of the shot noise, relative to the matrix's mean"
+    )
+    display: Range = Field(
+        (0.0, 30.0), description="intensities that become 0 and 1, dB above the matrix's mean"
+    )
+    seed: int = Field(1, ge=0, description="seed of the scatterers and the noise")
+
+    @model_validator(mode="after")
+    def _ranges(self) -> Self:
+        if not all(0 <= m < 0.5 for m in self.margin):
+            raise ValueError(
+                f"margin: wants two values of at least 0 and below 0.5 (got {self.margin[0]:g},"
+                f" {self.margin[1]:g})"
+            )
+        if not self.reflector_level[0] <= self.reflector_level[1]:
+            low, high = self.reflector_level
+            raise ValueError(f"reflector_level: wants low <= high (got {low:g}, {high:g})")
+        if not self.display[0] < self.display[1]:
+            low, high = self.display
+            raise ValueError(f"display: wants low < high (got {low:g}, {high:g})")
+        return self
+
+
 class Tracking(Section):
     """Detection and matching of bubbles."""
 
@@ -307,6 +355,7 @@ class Config(Section):
     sample: Sample = Sample()
     forward: Forward = Forward()
     phantom: Phantom = Phantom()
+    virtual_oct: VirtualOct = VirtualOct()
     tracking: Tracking = Tracking()
     estimation: Estimation = Estimation()
     tests: dict[str, Variant] = {}

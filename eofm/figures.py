@@ -4,7 +4,7 @@ Positions are in um, displacements in px; depth grows downwards. The colour maps
 safe for colour-blind readers, and level lines carry the values in print.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,7 @@ MAPS = ("RdBu_r", "viridis")
 COMPONENTS = ("u_1", "u_2")
 NAMES = ("lateral", "axial")
 WIDTH = 3.4  # of one panel, inches
+ARROWS = 250
 
 
 def image_pair(
@@ -51,6 +52,38 @@ def image_pair(
             if bubbles is not None:
                 _arrows(axis, bubbles, settings)
         _colour_bar(axes[0, 1], shown, "intensity")
+        _label(axes)
+    return figure
+
+
+def compare_fields(fields: Mapping[str, Array], settings: Figures = Figures()) -> Figure:
+    """Several fields by the names of their methods: u1 above u2, one scale in a row."""
+    with mpl.rc_context(STYLE):
+        figure, axes = _panels(2, len(fields), next(iter(fields.values())).shape[1:], settings)
+        for i in (0, 1):
+            limits = _limits(np.stack([u[i] for u in fields.values()]), i)
+            for axis, (name, u) in zip(axes[i], fields.items(), strict=True):
+                _draw(axis, u[i], f"{name}: ${COMPONENTS[i]}$", MAPS[i], limits, settings)
+        _label(axes)
+    return figure
+
+
+def compare_errors(
+    fields: Mapping[str, Array], truth: Array, settings: Figures = Figures()
+) -> Figure:
+    """Absolute errors of several fields: u1 above u2, one scale in a row.
+
+    Errors are rougher than fields, so they get half as many level lines.
+    """
+    settings = settings.model_copy(update={"levels": max(settings.levels // 2, 2)})
+    with mpl.rc_context(STYLE):
+        figure, axes = _panels(2, len(fields), truth.shape[1:], settings)
+        for i in (0, 1):
+            errors = {name: np.abs(u[i] - truth[i]) for name, u in fields.items()}
+            limits = (0.0, max(float(error.max()) for error in errors.values()) or 1.0)
+            for axis, (name, error) in zip(axes[i], errors.items(), strict=True):
+                title = f"{name}: error of ${COMPONENTS[i]}$ ≤ {error.max():.2f} px"
+                _draw(axis, error, title, "magma_r", limits, settings)
         _label(axes)
     return figure
 
@@ -80,19 +113,6 @@ def field_and_error(
             error = np.abs(estimate[i] - truth[i])
             title = f"absolute error of ${COMPONENTS[i]}$, at most {error.max():.2f} px"
             _draw(axes[i, 1], error, title, "magma_r", (0, largest), settings)
-        _label(axes)
-    return figure
-
-
-def two_fields(left: Array, right: Array, names: Sequence[str], settings: Figures) -> Figure:
-    """Two estimates side by side on shared scales, u1 above u2, as in Figure 2."""
-    with mpl.rc_context(STYLE):
-        figure, axes = _panels(2, 2, left.shape[1:], settings)
-        for i in (0, 1):
-            limits = _limits(np.stack([left[i], right[i]]), i)
-            for axis, u, name in zip(axes[i], (left, right), names, strict=True):
-                title = f"{NAMES[i]} displacement ${COMPONENTS[i]}$, {name}"
-                _draw(axis, u[i], title, MAPS[i], limits, settings)
         _label(axes)
     return figure
 
@@ -225,18 +245,12 @@ def _show(
 
 
 def _arrows(axis: Axes, bubbles: pd.DataFrame, settings: Figures) -> None:
-    p1, p2 = settings.pixel_size
-    axis.quiver(
-        bubbles.x1 * p1,
-        bubbles.x2 * p2,
-        bubbles.u1 * p1,
-        bubbles.u2 * p2,
-        angles="xy",
-        scale_units="xy",
-        scale=1,
-        color="red",
-        width=0.003,
-    )
+    """Arrows of true length; more than ``ARROWS`` would hide the image, so some are left out."""
+    shown = bubbles.iloc[:: -(-len(bubbles) // ARROWS)]
+    p = np.array([*settings.pixel_size, *settings.pixel_size])
+    columns = p[:, None] * shown[["x1", "x2", "u1", "u2"]].to_numpy(float).T
+    style: Any = {"color": "red", "angles": "xy", "scale_units": "xy", "scale": 1}
+    axis.quiver(*columns, width=0.0025, headwidth=3.5, headlength=3.5, **style)
 
 
 def _colour_bar(axis: Axes, shown: AxesImage, label: str) -> None:

@@ -40,10 +40,10 @@ def write_results(results: Analysis, pair: Pair, folder: Path) -> None:
 def draw(results: Analysis, settings: Figures) -> dict[str, Figure]:
     """The figures of a pair; of a sequence, the bubbles and standard flow of its first step."""
     step = results.steps[0]
-    names = ("standard flow", "EOFM")
+    fields = {"standard flow": step.standard, "EOFM": step.u}
     return {
         "pair": figures.image_pair(results.first, results.last, settings, step.bubbles),
-        "displacement": figures.two_fields(step.standard, step.u, names, settings),
+        "displacement": figures.compare_fields(fields, settings),
         "strain": figures.strains(results.strain, settings),
         "quality": figures.quality(results.residual, step.inconsistency, results.share, settings),
     }

@@ -72,7 +72,7 @@ def test_steps_are_the_library_s_functions(folder):
     np.testing.assert_array_equal(u.astype(np.float32), tifffile.imread(folder / "u.tif"))
 
 
-@pytest.mark.parametrize("step", [step.__name__ for step in STEPS])
+@pytest.mark.parametrize("step", [step.__name__.replace("_", "-") for step in STEPS])
 def test_help_teaches_each_step(step, capsys):
     with pytest.raises(SystemExit, match="0"):
         main([step, "--help"])

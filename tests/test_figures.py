@@ -13,10 +13,13 @@ def draw(truth, pair):
         "pair": lambda: figures.image_pair(pair[0], pair[1]),
         "field": lambda: figures.field(truth),
         "errors": lambda: figures.field_and_error(1.1 * truth, truth, 0.5),
+        "bubbles": lambda: figures.image_pair(pair[0], pair[1], eofm.Figures(), pair[2]),
+        "fields": lambda: figures.compare_fields({"A": truth, "B": 2 * truth}),
+        "two errors": lambda: figures.compare_errors({"A": truth, "B": 2 * truth}, truth),
     }
 
 
-@pytest.mark.parametrize("kind", ["pair", "field", "errors"])
+@pytest.mark.parametrize("kind", ["pair", "field", "errors", "bubbles", "fields", "two errors"])
 def test_figures_are_written_as_png_and_pdf_with_the_same_bytes(draw, tmp_path, kind):
     quick = eofm.Figures(dpi=60)
     for name in ("a", "b"):
@@ -34,6 +37,13 @@ def test_units_and_shared_scales(draw, truth):
     assert panels[0].images[0].get_clim() == (-largest, largest)
     assert panels[0].get_ylabel() == "axial position [µm]"
     assert panels[2].get_xlabel() == "lateral position [µm]"
+
+
+@pytest.mark.parametrize("kind", ["fields", "two errors"])
+def test_methods_share_one_scale_in_a_row(draw, kind):
+    shown = [axis.images[0].get_clim() for axis in draw[kind]().axes if axis.images]
+    assert shown[0] == shown[1]
+    assert shown[2] == shown[3]
 
 
 def test_positions_follow_the_pixel_size():

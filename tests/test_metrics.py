@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from eofm.errors import InputError
-from eofm.metrics import relative_errors
+from eofm.metrics import pixel_errors, relative_errors
 
 
 def test_errors_of_a_scaled_field(rng):
@@ -31,3 +31,16 @@ def test_exact_estimate_has_no_error(rng):
 def test_zero_truth_is_refused():
     with pytest.raises(InputError, match="zero everywhere"):
         relative_errors(np.ones((2, 3, 4)), np.zeros((2, 3, 4)))
+
+
+def test_errors_in_pixels():
+    u = np.stack([np.full((3, 5), -7.0), np.full((3, 5), 4.0)])
+    estimate = u + [[[3]], [[-4]]]
+    estimate[0, 0, 0] -= 13
+    assert pixel_errors(estimate, u) == {
+        "max_error_u1": 10,
+        "max_error_u2": 4,
+        "median_error": 5,
+        "max_true_u1": 7,
+        "max_true_u2": 4,
+    }

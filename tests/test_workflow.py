@@ -195,3 +195,17 @@ def test_wrong_configuration_ends_in_one_line(project, setting, message):
     assert result.returncode == 1
     assert message in result.stderr
     assert "Traceback" not in result.stderr
+
+
+def test_virtual_oct(project):
+    result = project.run("--cores", "2", "virtual_oct")
+    assert result.returncode == 0, result.stderr
+    folder = project.root / "results/virtual_oct"
+    table = pd.read_csv(folder / "errors.csv")
+    columns = "method max_error_u1 max_error_u2 median_error max_true_u1 max_true_u2"
+    assert list(table.columns) == columns.split()
+    assert table.method.tolist() == ["background", "standard", "eofm"]
+    assert table.median_error.idxmin() == 2
+    for number in (1, 2, 8):
+        assert imread(folder / f"figures/figure{number}.png").std() > 0.05
+        assert (folder / f"figures/figure{number}.pdf").read_bytes().startswith(b"%PDF")
