@@ -135,6 +135,19 @@ def test_a_table_of_samples_that_cannot_be_used(project, text, message):
     assert "Traceback" not in result.stderr
 
 
+def test_accuracy_target_beats_test5(project):
+    result = project.run("--cores", "2", "accuracy")
+    assert result.returncode == 0, result.stdout + result.stderr
+    errors = {
+        test: pd.read_csv(project.root / f"results/tests/{test}/errors.csv").e_rel[0]
+        for test in ("5", "5b", "6")
+    }
+    assert errors["5b"] < 0.6 * errors["5"]
+    assert errors["6"] < 0.6 * errors["5"]
+    for name in ("test5b", "test6", "stiffness"):
+        assert imread(project.root / f"results/figures/{name}.png").std() > 0.05
+
+
 def test_a_second_run_finds_nothing_to_do(project):
     assert "Nothing to be done" in project.run("--cores", "1").stderr
 
