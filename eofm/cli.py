@@ -4,13 +4,10 @@ Imports of the steps sit inside the subcommands, so that ``--help`` is instant.
 """
 
 import argparse
-import json
 import os
 import sys
 from collections.abc import Callable, Sequence
-from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypeVar
 
 from eofm import io
 from eofm.config import (
@@ -26,8 +23,7 @@ from eofm.config import (
     VirtualOct,
 )
 from eofm.errors import InputError
-
-S = TypeVar("S", bound=Section)
+from eofm.options import add_options, sections_of, settings_of
 
 DESCRIPTION = """\
 Displacement of soft samples between an image before and one after compression.
@@ -45,12 +41,12 @@ def forward(args: argparse.Namespace) -> None:
 
     Linear elasticity: fixed on top, moved at the bottom, free on the sides.
 
-      eofm forward --output true.tif --compression 3 \\
+      eofm forward --output true.tif --compression 3 \
           --inclusions '{"x1": 60, "x2": 80, "radius": 20, "stiffness": 5}'
     """
     from eofm.elasticity import true_field
 
-    io.write_field(args.output, true_field(_settings(Sample, args), _settings(Forward, args)))
+    io.write_field(args.output, true_field(settings_of(Sample, args), settings_of(Forward, args)))
 
 
 def background(args: argparse.Namespace) -> None:
@@ -60,7 +56,9 @@ def background(args: argparse.Namespace) -> None:
     """
     from eofm.elasticity import background_field
 
-    io.write_field(args.output, background_field(_settings(Sample, args), _settings(Forward, args)))
+    io.write_field(
+        args.output, background_field(settings_of(Sample, args), settings_of(Forward, args))
+    )
 
 
 def phantom(args: argparse.Namespace) -> None:
@@ -70,7 +68,7 @@ def phantom(args: argparse.Namespace) -> None:
     """
     from eofm.phantom import make_phantom
 
-    I1, I2, bubbles = make_phantom(io.read_field(args.displacement), _settings(Phantom, args))
+    I1, I2, bubbles = make_phantom(io.read_field(args.displacement), settings_of(Phantom, args))
     io.write_image(args.reference, I1)
     io.write_image(args.deformed, I2)
     io.write_table(args.table, bubbles)
@@ -79,7 +77,7 @@ def phantom(args: argparse.Namespace) -> None:
 def virtual_oct(args: argparse.Namespace) -> None:
     r"""OCT tomograms of the inside of a sample, before and after a displacement.
 
-      eofm virtual-oct true.tif background.tif --reference before.tif --deformed after.tif \\
+      eofm virtual-oct true.tif background.tif --reference before.tif --deformed after.tif \
           --truth true_inside.tif --background background_inside.tif
 
     The sample is enlarged first; both fields are written for the region of interest, px.
@@ -87,7 +85,7 @@ def virtual_oct(args: argparse.Namespace) -> None:
     from eofm.virtual_oct import make_tomograms
 
     u = io.read_field(args.displacement)
-    found = make_tomograms(u, io.read_field(args.homogeneous), _settings(VirtualOct, args))
+    found = make_tomograms(u, io.read_field(args.homogeneous), settings_of(VirtualOct, args))
     io.write_image(args.reference, found.I1)
     io.write_image(args.deformed, found.I2)
     io.write_field(args.truth, found.truth)
@@ -105,7 +103,7 @@ def track(args: argparse.Namespace) -> None:
     """
     from eofm.bubbles import track
 
-    settings = _settings(Tracking, args)
+    settings = settings_of(Tracking, args)
     I1, I2 = io.read_pair(args.reference, args.deformed)
     prediction = args.prediction and io.read_field(args.prediction, I1.shape)
     io.write_table(args.output, track(I1, I2, settings, prediction=prediction))
@@ -119,12 +117,12 @@ def estimate(args: argparse.Namespace) -> None:
     Without --bubbles there is no speckle term, without --background no background field.
     Where the background is known to hold at the edges, say so:
 
-      eofm estimate before.tif after.tif --bubbles bubbles.csv \\
+      eofm estimate before.tif after.tif --bubbles bubbles.csv \
           --background background.tif --zero-edges top bottom --output u.tif
     """
     from eofm.estimate import estimate_displacement
 
-    settings = _settings(Estimation, args)
+    settings = settings_of(Estimation, args)
     I1, I2 = io.read_pair(args.reference, args.deformed)
     u = estimate_displacement(
         I1,
@@ -147,7 +145,7 @@ def preset(args: argparse.Namespace) -> None:
     """
     from eofm.preset import estimate_preset
 
-    settings = _settings(Preset, args)
+    settings = settings_of(Preset, args)
     I1, I2 = io.read_pair(args.reference, args.deformed)
     found = estimate_preset(
         I1,
@@ -166,7 +164,7 @@ def stiffness(args: argparse.Namespace) -> None:
     r"""Young's modulus relative to the background, and the displacement that goes with it.
 
       eofm stiffness before.tif after.tif --output E.tif --displacement u.tif \
-          --height 108 --width 180 --compression 3.53 --poisson-ratio 0.492
+          --height 108 --width 180 --compression 3.53 --zero-edges top bottom
 
     The images show the whole sample, fixed on top and moved by a known compression at the
     bottom, px. --deviation writes the standard deviations of u1, u2 (px) and log E.
@@ -176,20 +174,21 @@ def stiffness(args: argparse.Namespace) -> None:
     from eofm.stiffness import estimate_identified
     from eofm.uncertainty import deviations
 
-    sample = _settings(Sample, args)
-    preset = _settings(Preset, args)
-    settings = _settings(Identification, args)
+    sample = settings_of(Sample, args)
+    preset = settings_of(Preset, args)
+    settings = settings_of(Identification, args)
     I1, I2 = io.read_pair(args.reference, args.deformed)
     bubbles = args.bubbles and io.read_bubbles(args.bubbles)
     estimate, found = estimate_identified(
         I1, I2, sample, bubbles=bubbles, settings=settings, preset=preset
     )
+    deviation = args.deviation and deviations(found)
     io.write_image(args.output, found.E)
     io.write_field(args.displacement, estimate.u)
-    if args.deviation:
-        u, log_E = deviations(found)
+    if deviation:
         labels = ["sd of u1 [px]", "sd of u2 [px]", "sd of log E"]
-        io.write_pages(args.deviation, np.concatenate([u, log_E[None]]), labels)
+        pages = np.concatenate([deviation[0], deviation[1][None]])
+        io.write_pages(args.deviation, pages, labels)
 
 
 def evaluate(args: argparse.Namespace) -> None:
@@ -210,7 +209,7 @@ def evaluate(args: argparse.Namespace) -> None:
 def sample(args: argparse.Namespace) -> None:
     r"""Everything for one pair of images: displacement, strain, quality, figures.
 
-      eofm sample --reference before.tif --deformed after.tif --output results/mine \
+      eofm sample --reference before.tif --deformed after.tif --folder results/mine \
           --lateral-size 3.9 --axial-size 6 --top fixed --bottom 'moved 0 -30 um' \
           --background elastic --poisson-ratio 0.48
 
@@ -218,17 +217,19 @@ def sample(args: argparse.Namespace) -> None:
     summary.json and four figures. Edges of which nothing is said are free. Settings may
     come from a file (YAML, names as the options') where they are many; options win.
     """
+    if args.folder.is_file():
+        raise InputError(f"{args.folder}: is a file; name a folder")
     from eofm.pairs import analyse
     from eofm.report import write_results
 
     given = io.read_settings(args.settings) if args.settings else {}
-    pair, tracking, estimation = _sections([Pair, Tracking, Estimation], given, args)
+    pair, tracking, estimation = sections_of([Pair, Tracking, Estimation], given, args)
     try:
         results = analyse(pair, tracking, estimation, progress=True)
     except InputError as error:
-        raise InputError(f"{args.output.name}: {error}") from None
-    args.output.mkdir(exist_ok=True)
-    write_results(results, pair, args.output)
+        raise InputError(f"{args.folder.name}: {error}") from None
+    args.folder.mkdir(parents=True, exist_ok=True)
+    write_results(results, pair, args.folder)
 
 
 PAIR = {
@@ -279,7 +280,7 @@ STEPS: dict[Callable[..., None], tuple[dict[str, str], dict[str, str], list[type
     ),
     sample: (
         {},
-        {"OUTPUT": "folder to write the results to", "settings": "file of settings (YAML)"},
+        {"FOLDER": "folder to write the results to", "settings": "file of settings (YAML)"},
         [Pair, Tracking, Estimation],
     ),
     preset: (
@@ -310,17 +311,31 @@ STEPS: dict[Callable[..., None], tuple[dict[str, str], dict[str, str], list[type
 }
 
 
+# Files that are written, so that their folders can be checked before any work.
+WRITTEN = {name for _, files, _ in STEPS.values() for name in files if name.isupper()}
+WRITTEN = WRITTEN - {"FOLDER"} | {"deviation"}
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one step; 0 if it worked, 1 if its input cannot be used, 2 for wrong usage."""
     args = _parser().parse_args(argv)
     # Compiled loops take as many threads as the workflow gives a job.
     os.environ.setdefault("NUMBA_NUM_THREADS", os.environ.get("OMP_NUM_THREADS", "1"))
     try:
-        for output in filter(str.isupper, STEPS[args.step][1]):
-            io.check_folder(getattr(args, output.lower()))
+        for name in STEPS[args.step][1]:
+            path = getattr(args, name.lower())
+            if path and name in WRITTEN:
+                io.check_folder(path)
         args.step(args)
     except (InputError, OSError) as error:
         print(f"eofm {_name(args.step)}: {error}", file=sys.stderr)
+        return 1
+    except MemoryError:
+        print(
+            f"eofm {_name(args.step)}: not enough memory for such sizes; use smaller images,"
+            " windows or regions, or larger elements",
+            file=sys.stderr,
+        )
         return 1
     except KeyboardInterrupt:
         return 130
@@ -351,53 +366,8 @@ def _parser() -> argparse.ArgumentParser:
             option = f"--{name.lower()}"
             sub.add_argument(option, type=Path, metavar="FILE", required=name.isupper(), help=help)
         for section in sections:
-            _add_options(sub.add_argument_group(section.__name__.lower()), section)
+            add_options(sub.add_argument_group(section.__name__.lower()), section)
     return parser
-
-
-def _add_options(group: argparse._ArgumentGroup, section: type[Section]) -> None:
-    for name, field in section.model_fields.items():
-        default = field.get_default()
-        shown = " ".join(map(str, default)) if isinstance(default, tuple) else default
-        group.add_argument(
-            f"--{name.replace('_', '-')}",
-            metavar="VALUE",
-            nargs="*" if section.takes_many(name) else None,
-            type=_value,
-            default=argparse.SUPPRESS,
-            help=f"{field.description} (default: {'none' if shown in ('', None) else shown})",
-        )
-
-
-def _value(text: str) -> Any:
-    """A number, object or truth value as in JSON, or else the text itself."""
-    try:
-        return json.loads(text)
-    except json.JSONDecodeError:
-        return text
-
-
-def _settings(section: type[S], args: argparse.Namespace) -> S:
-    given = {name: value for name, value in vars(args).items() if name in section.model_fields}
-    return section.parse(given, section.__name__.lower())
-
-
-def _sections(
-    sections: list[type[Section]], given: dict[str, Any], args: argparse.Namespace
-) -> list[Any]:
-    """Settings whose names do not clash, from a file and from options; options win."""
-    known = {name for section in sections for name in section.model_fields}
-    given = given | {name: value for name, value in vars(args).items() if name in known}
-    for name in given.keys() - known:
-        close = get_close_matches(name, sorted(known), 1)
-        hint = f"; did you mean {close[0]}?" if close else ""
-        raise InputError(f"{args.settings}: unknown key {name}{hint}")
-    return [
-        section.parse(
-            {k: v for k, v in given.items() if k in section.model_fields}, args.output.name
-        )
-        for section in sections
-    ]
 
 
 if __name__ == "__main__":

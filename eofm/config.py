@@ -5,18 +5,49 @@ function that uses it and, field by field, the options of its command, so that a
 one name, one check and one description everywhere.
 """
 
+import re
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
 
 from eofm.errors import InputError
 from eofm.io import read_settings
 
+# Rows that are no variants of the paper's test.
+RESERVED = ("background", "5b", "6")
+
 Edge = Literal["top", "bottom", "left", "right"]
 Positive = Annotated[float, Field(gt=0)]
+
+
+def _ascending(limits: tuple[float, float]) -> tuple[float, float]:
+    if not limits[0] < limits[1]:
+        raise ValueError(f"wants low < high (got {limits[0]:g}, {limits[1]:g})")
+    return limits
+
+
+def _spread(limits: tuple[float, float]) -> tuple[float, float]:
+    if not 0 < limits[0] <= limits[1]:
+        raise ValueError(f"wants 0 < low <= high (got {limits[0]:g}, {limits[1]:g})")
+    return limits
+
+
 Range = tuple[float, float]
+Limits = Annotated[Range, AfterValidator(_ascending)]
+Spread = Annotated[Range, AfterValidator(_spread)]
+FileName = Annotated[
+    str, BeforeValidator(lambda name: str(name) if isinstance(name, Path) else name)
+]
 Region = tuple[int, int, int, int]
 
 EDGE_WORDS = (
@@ -60,7 +91,7 @@ def _explain(error: ValidationError) -> str:
         return f"unknown key {name}; " + (f"did you mean {close[0]}?" if close else "misspelt?")
     message = first["msg"].removeprefix("Value error, ")
     if first["type"] == "value_error":
-        return message
+        return f"{name}: {message}" if isinstance(first["input"], tuple | list) else message
     got = "" if first["type"] == "missing" else f" (got {first['input']!r})"
     return f"{name}: {message[0].lower()}{message[1:]}{got}"
 
@@ -115,22 +146,14 @@ class Phantom(Section):
     """The scattering images of the simulated sample."""
 
     count: int = Field(200, ge=1, description="number of bubbles")
-    sigma: Range = Field((1.23, 1.23), description="range of their standard deviations, px")
-    brightness: Range = Field((0.15, 0.22), description="range of their peak intensities")
+    sigma: Spread = Field((1.23, 1.23), description="range of their standard deviations, px")
+    brightness: Spread = Field((0.15, 0.22), description="range of their peak intensities")
     distance: float = Field(0.0, ge=0, description="least distance of two bubbles, px")
     base: float = Field(0.0, ge=0, le=1, description="intensity between the bubbles")
     noise: float = Field(
         0.0, ge=0, description="standard deviation of the noise, relative to the brightest bubble"
     )
     seed: int = Field(1, ge=0, description="seed of positions, sizes, brightness and noise")
-
-    @model_validator(mode="after")
-    def _ranges(self) -> Self:
-        for name in ("sigma", "brightness"):
-            low, high = getattr(self, name)
-            if not 0 < low <= high:
-                raise ValueError(f"{name}: wants 0 < low <= high (got {low:g}, {high:g})")
-        return self
 
 
 class VirtualOct(Section):
@@ -220,20 +243,12 @@ class Estimation(Section):
         ge=1,
         description="factor of beta for bubbles within 2 sigma of an edge of unknown motion",
     )
-    limits: Range | None = Field(
+    limits: Limits | None = Field(
         None, description="intensities that become 0 and 1; none: extremes of both images"
     )
     local_window: Positive | None = Field(
         None, description="window of the local normalisation of brightness and contrast, px"
     )
-
-    @model_validator(mode="after")
-    def _limits_ascend(self) -> Self:
-        if self.limits and not self.limits[0] < self.limits[1]:
-            raise ValueError(
-                f"limits: wants low < high (got {self.limits[0]:g}, {self.limits[1]:g})"
-            )
-        return self
 
 
 class Preset(Section):
@@ -243,7 +258,7 @@ class Preset(Section):
         None, description="weight of the bending energy; none: chosen by cross-validation"
     )
     alpha_start: Positive = Field(1.0, description="weight on the coarse scales, and first tried")
-    alpha_range: Range = Field((0.01, 1000.0), description="least and largest weight tried")
+    alpha_range: Spread = Field((0.01, 1000.0), description="least and largest weight tried")
     beta: float = Field(0.5, ge=0, description="weight of the speckle term on coarse scales")
     sigma: Positive = Field(5.0, description="width of its Gaussians g_sigma, px")
     scales: int = Field(4, ge=1, description="scales; fewer are used where the image is small")
@@ -252,9 +267,16 @@ class Preset(Section):
     knots: Positive = Field(3.0, description="distance of the spline's knots, px")
     block: int = Field(8, ge=2, description="side of the blocks that are held out, px")
     zero_edges: tuple[Edge, ...] = Field((), description="edges where the background is exact")
-    limits: Range | None = Field(
+    limits: Limits | None = Field(
         None, description="intensities that become 0 and 1; none: extremes of both images"
     )
+
+    @model_validator(mode="after")
+    def _start_in_range(self) -> Self:
+        low, high = self.alpha_range
+        if not low <= self.alpha_start <= high:
+            raise ValueError(f"alpha_start: {self.alpha_start:g} lies outside of alpha_range")
+        return self
 
 
 class Identification(Section):
@@ -264,7 +286,7 @@ class Identification(Section):
     gamma: Positive | None = Field(
         None, description="weight of the total variation; none: chosen on held-out blocks"
     )
-    gamma_range: Range = Field((0.01, 30.0), description="weights tried, downwards")
+    gamma_range: Spread = Field((0.01, 30.0), description="weights tried, downwards")
     clear: float = Field(2.0, ge=0, description="standard errors that make a gain clear")
     epsilon: Positive = Field(0.02, description="gradient of log E that counts as an edge, 1/px")
     iterations: int = Field(30, ge=1, description="largest number of Gauss-Newton steps")
@@ -280,13 +302,13 @@ class Identification(Section):
 class Pair(Section):
     """A pair of images, or a sequence, and what is known of the sample."""
 
-    reference: str | None = Field(
+    reference: FileName | None = Field(
         None,
         description="image before compression: TIFF, PNG, NumPy or MATLAB;"
         " FILE#3 is page 3 of a stack, FILE#name a variable",
     )
-    deformed: str | None = Field(None, description="image after compression")
-    frames: str | None = Field(
+    deformed: FileName | None = Field(None, description="image after compression")
+    frames: FileName | None = Field(
         None, description="instead of both: a stack of frames; edges move by this much in each step"
     )
     intensity: Literal["linear", "log"] = Field(
@@ -295,7 +317,7 @@ class Pair(Section):
     roi: Region | None = Field(
         None, description="region of interest: x1, x2, width and height, px; none: all"
     )
-    mask: str | None = Field(
+    mask: FileName | None = Field(
         None,
         description="dead zones without data: an image that is not 0 there, or the corners"
         " of a polygon, 'x1,x2 x1,x2 x1,x2', px of the whole image",
@@ -337,7 +359,9 @@ class Pair(Section):
 class Figures(Section):
     """How the figures look."""
 
-    pixel_size: Range = Field((5.0, 5.0), description="lateral and axial side of a pixel, um")
+    pixel_size: tuple[Positive, Positive] = Field(
+        (5.0, 5.0), description="lateral and axial side of a pixel, um"
+    )
     levels: int = Field(12, ge=2, le=50, description="number of level lines in a panel")
     dpi: int = Field(200, ge=50, le=1200, description="resolution of the PNG files, dots per inch")
 
@@ -372,6 +396,11 @@ class Config(Section):
     @model_validator(mode="after")
     def _tests_are_valid(self) -> Self:
         for name in self.tests:
+            if name in RESERVED or not re.fullmatch(r"[\w-]+", name):
+                raise ValueError(
+                    f"tests: '{name}' cannot be a test's name; use letters, digits, - and _, and"
+                    f" none of {', '.join(RESERVED)}"
+                )
             self.variant(name)
         return self
 

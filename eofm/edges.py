@@ -34,7 +34,7 @@ class EdgeState:
 def parse_edge(
     edge: Edge, text: str, shape: tuple[int, ...], pixel_size: tuple[float, float]
 ) -> EdgeState:
-    """Read the description of an edge of an image of a ``shape`` (height, width).
+    """Read the description of an edge of a sample of a ``shape`` (height, width), px.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def _motion(edge: Edge, words: list[str], length: int, pixel_size: tuple[float, 
         if motion.shape[1] != length:
             raise InputError(
                 f"{edge}: {words[0]} has {motion.shape[1]} rows but the edge has {length} pixels;"
-                " give one row per pixel of the region of interest"
+                " give one row per pixel of the sample's edge"
             )
         return motion
     unit = words.pop() if len(words) == 3 else "px"

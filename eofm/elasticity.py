@@ -136,7 +136,7 @@ def make_basis(sample: Sample, cell: float, spacing: Array | tuple = (1.0, 1.0))
     Lengths are those of pixels with sides ``spacing`` = (lateral, axial).
     """
     lengths = [(n - 1) * h for n, h in zip(sample.shape[::-1], spacing, strict=True)]
-    sides = [np.linspace(0, length, max(1, round(length / cell)) + 1) for length in lengths]
+    sides = [np.linspace(0, length, max(2, round(length / cell)) + 1) for length in lengths]
     return Basis(MeshQuad.init_tensor(*sides), ElementVector(ElementQuad2()), intorder=4)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from eofm.bubbles import as_arrays
 from eofm.config import Edge, Estimation
 from eofm.errors import InputError
 from eofm.functional import (
@@ -77,7 +78,7 @@ def estimate_displacement(
     ------
     InputError
         If the images are constant, too small for the scales, or differ in size from
-        each other, the background or the dead zones.
+        each other, the background or the dead zones, or a bubble lies outside of them.
 
     Notes
     -----
@@ -102,10 +103,10 @@ def estimate_displacement(
     u_bg = h[..., None] * background
     v_edges = {edge: h * g - u_bg[:, *EDGES[edge]] for edge, g in (edges or {}).items()}
     v_edges |= {edge: np.zeros_like(u_bg[:, *EDGES[edge]]) for edge in settings.zero_edges}
-    x, motion = _bubble_arrays(bubbles)
+    x, motion = as_arrays(bubbles, I1.shape)
     update = h * (motion - evaluate_field(background, x))
     problem = _Problem(settings, u_bg, v_edges, h * x, update, dead.astype(float))
-    I1, I2 = _normalised(I1, I2, settings, (h1, h2))
+    I1, I2 = normalised(I1, I2, settings, (h1, h2))
     u = coarse_to_fine(
         I1,
         I2,
@@ -162,9 +163,10 @@ class _Problem:
         return u
 
 
-def _normalised(
+def normalised(
     I1: Array, I2: Array, settings: Estimation, spacing: tuple[float, float]
 ) -> tuple[Array, Array]:
+    """The images as the estimate sees them; ``spacing`` is that of unit pixels."""
     if settings.local_window is None:
         return normalise(I1, I2, settings.limits)
     h1, h2 = spacing
@@ -221,10 +223,3 @@ def _linearised(
     warped, inside = warp(I2, u / np.reshape(grid.spacing, (2, 1, 1)))
     I_t = warped - I1 - (grad_I * u).sum(0)
     return data_term(grad_I, I_t + (grad_I * u_bg).sum(0), inside & live)
-
-
-def _bubble_arrays(bubbles: pd.DataFrame | None) -> tuple[Array, Array]:
-    if bubbles is None:
-        return np.empty((2, 0)), np.empty((2, 0))
-    columns = bubbles[["x1", "x2", "u1", "u2"]].to_numpy(dtype=float).T
-    return columns[:2], columns[2:]

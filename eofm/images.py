@@ -33,8 +33,16 @@ def normalise(
     Raises
     ------
     InputError
-        If an image is constant: there is no motion to see.
+        If these are not two finite greyscale images of one size, or one is constant.
     """
+    # Integers would wrap around in the differences below.
+    I1, I2 = np.asarray(I1, dtype=np.float64), np.asarray(I2, dtype=np.float64)
+    if I1.ndim != 2 or I1.shape != I2.shape:
+        raise InputError(
+            f"wanted two greyscale images of one size, got shapes {I1.shape} and {I2.shape}"
+        )
+    if not (np.isfinite(I1).all() and np.isfinite(I2).all()):
+        raise InputError("an image has NaN or infinite values; replace or crop them")
     for name, I in (("before", I1), ("after", I2)):
         if I.min() == I.max():
             raise InputError(

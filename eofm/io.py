@@ -5,6 +5,7 @@ moved there, so that a failure leaves nothing half-written.
 """
 
 import json
+import logging
 import os
 import tempfile
 from collections.abc import Iterator
@@ -22,13 +23,20 @@ from eofm.errors import InputError
 
 Array = NDArray[np.float64]
 
+# Smaller images hold no motion to speak of.
+SMALLEST = 8
+
+# Its warnings about damaged files come before our own line on them.
+logging.getLogger("tifffile").setLevel(logging.CRITICAL)
+
 BUBBLE_COLUMNS = ("x1", "x2", "u1", "u2")
 
 
 def read_image(path: Path) -> Array:
     """Read a greyscale image, shape (height, width): TIFF, PNG, NumPy or MATLAB.
 
-    ``FILE#3`` is page 3 (from 0) of a stack, ``FILE#name`` a variable of a MATLAB or NumPy file.
+    ``FILE#3`` is page 3 (from 0) of a stack, ``FILE#name`` a variable of a MATLAB or NumPy file,
+    ``FILE#name#3`` a page of it.
 
     Raises
     ------
@@ -38,6 +46,10 @@ def read_image(path: Path) -> Array:
     pages = _read_array(path)
     if pages.ndim == 3 and pages.shape[-1] in (3, 4):
         raise InputError(f"{path}: is a colour image; convert it to greyscale first")
+    if pages.ndim == 3 and pages.shape[-1] == 2:
+        raise InputError(f"{path}: is greyscale with transparency; save it as plain greyscale")
+    if pages.ndim < 2:
+        raise InputError(f"{path}: holds an array of shape {pages.shape}, no image")
     if pages.ndim != 2:
         raise InputError(
             f"{path}: holds a stack of shape {pages.shape}; name a page, as in {path}#0"
@@ -76,6 +88,10 @@ def read_pair(reference: Path, deformed: Path) -> tuple[Array, Array]:
         If an image cannot be used, or their sizes differ.
     """
     I1, I2 = read_image(reference), read_image(deformed)
+    if min(I1.shape) < SMALLEST:
+        raise InputError(
+            f"{reference}: has {_size(I1)}; at least {SMALLEST} x {SMALLEST} are needed"
+        )
     if I1.shape != I2.shape:
         raise InputError(
             f"{deformed}: has {_size(I2)} but {reference} has {_size(I1)};"
@@ -191,24 +207,33 @@ def write_table(path: Path, table: pd.DataFrame) -> None:
 
 
 def _read_array(path: Path) -> NDArray:
-    """The array of a file, or the page or variable of it named after a ``#``."""
-    name, _, part = str(path).partition("#")
+    """The array of a file, or the variable and page of it named after ``#``."""
+    name, parts = str(path), []
+    if not path.exists():
+        folder, _, last = name.rpartition("/")
+        last, *parts = last.split("#")
+        name = f"{folder}/{last}" if "/" in name else last
     if not Path(name).exists():
         raise InputError(f"{name}: no such file")
     kind = Path(name).suffix.lower()
+    pages = [part for part in parts if part.isdigit()]
+    variables = [part for part in parts if not part.isdigit()]
+    if len(pages) > 1 or len(variables) > (kind in (".mat", ".npz")) or (pages and kind == ".png"):
+        raise InputError(f"{path}: cannot tell what #{'#'.join(parts)} means for such a file")
     read = READERS.get(kind, _read_tiff)
     try:
-        array = read(name, part)
+        array = read(name, "".join(variables))
     except InputError:
         raise
     except Exception as error:  # readers raise whatever the damage leads to
         label = kind[1:].upper() if kind in READERS else "TIFF"
         raise InputError(f"{name}: cannot be read as {label} ({_one_line(error)})") from None
-    if not part or not part.isdigit():
+    if not pages:
         return array
-    if array.ndim < 3 or int(part) >= len(array):
-        raise InputError(f"{path}: has no page {part}; the file holds shape {array.shape}")
-    return array[int(part)]
+    page = int(pages[0])
+    if array.ndim < 3 or page >= len(array):
+        raise InputError(f"{path}: has no page {page}; the file holds shape {array.shape}")
+    return array[page]
 
 
 def _read_tiff(name: str, part: str) -> NDArray:
@@ -256,7 +281,8 @@ READERS = {".png": _read_png, ".npy": _read_numpy, ".npz": _read_numpy, ".mat": 
 
 
 def _finite(path: Path, values: NDArray) -> Array:
-    if not np.issubdtype(values.dtype, np.number) or np.iscomplexobj(values):
+    numeric = values.dtype == np.bool_ or np.issubdtype(values.dtype, np.number)
+    if not numeric or np.iscomplexobj(values):
         raise InputError(f"{path}: holds {values.dtype} values; save real numbers")
     values = values.astype(np.float64)
     bad = np.argwhere(~np.isfinite(values))
@@ -278,9 +304,11 @@ def _one_line(error: BaseException) -> str:
 
 
 def check_folder(path: Path) -> None:
-    """Refuse a file to write whose folder does not exist."""
+    """Refuse a file to write that is a folder, or whose folder does not exist."""
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist; create it first")
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; name a file in it")
 
 
 @contextmanager

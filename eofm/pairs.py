@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 from eofm.bubbles import track
 from eofm.config import Estimation, Pair, Tracking
-from eofm.estimate import estimate_displacement
-from eofm.images import warp
+from eofm.errors import InputError
+from eofm.estimate import estimate_displacement, normalised
+from eofm.functional import EDGES
+from eofm.images import inside, warp
 from eofm.quality import data_share, inconsistency, residual
 from eofm.scene import Scene, prepare
 from eofm.strain import FILTER, strain
@@ -80,6 +82,11 @@ def analyse(
     ------
     InputError
         If anything described cannot be used.
+
+    Notes
+    -----
+    In a sequence, the motion of an edge is that of one step, and each step imposes it on
+    the image's own rows and columns: right while the edge stays near them.
     """
     scene = prepare(pair)
     steps, total = [], np.zeros((2, *scene.dead.shape))
@@ -87,13 +94,19 @@ def analyse(
         steps.append(_step(I1, I2, scene, pair, tracking, estimation, progress))
         # What was at x is at x + total(x) now, and moves on from there.
         total = total + np.stack([warp(c, total)[0] for c in steps[-1].u])
+        for edge, g in scene.edges.items() if estimation.edge_weight is None else ():
+            total[:, *EDGES[edge]] = len(steps) * g
     spacing = np.array(pair.pixel_size) / np.sqrt(np.prod(pair.pixel_size))
     window = pair.strain_window or 3 * float(np.sqrt(np.prod(pair.pixel_size)))
     first, last = scene.frames[0], scene.frames[-1]
     e = strain(total, pair.pixel_size, window)
     left = residual(first, last, total)
     share = data_share(
-        _unit(first), estimation.alpha, estimation.sigma, (spacing[0], spacing[1]), scene.dead
+        normalised(first, last, estimation, (spacing[0], spacing[1]))[0],
+        estimation.alpha,
+        estimation.sigma,
+        (spacing[0], spacing[1]),
+        scene.dead,
     )
     summary = _summary(pair, scene, steps, total, e, window)
     summary |= {
@@ -122,6 +135,8 @@ def _step(
     guess = standard if scene.background is None else scene.background
     bubbles = track(I1, I2, tracking, prediction=guess)
     bubbles = bubbles[~scene.dead[_nearest(bubbles.x2), _nearest(bubbles.x1)]]
+    if bubbles.empty:
+        raise InputError("mask: leaves no bubble; make it smaller, or lower the threshold")
     u = estimate_displacement(
         I1,
         I2,
@@ -135,6 +150,7 @@ def _step(
     back = bubbles.assign(
         x1=bubbles.x1 + bubbles.u1, x2=bubbles.x2 + bubbles.u2, u1=-bubbles.u1, u2=-bubbles.u2
     )
+    back = back[inside(I2.shape, back[["x1", "x2"]].to_numpy().T)]
     w_bg = None
     if scene.background is not None:
         w_bg = -np.stack([warp(c, -scene.background)[0] for c in scene.background])
@@ -152,10 +168,6 @@ def _step(
 
 def _nearest(x: pd.Series) -> NDArray[np.int64]:
     return x.round().to_numpy().astype(np.int64)
-
-
-def _unit(I: Array) -> Array:
-    return (I - I.min()) / np.ptp(I)
 
 
 def _summary(

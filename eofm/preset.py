@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from eofm.bubbles import as_arrays
 from eofm.config import Preset
 from eofm.errors import InputError
 from eofm.functional import Grid, Pointwise, data_term, speckle_term
@@ -194,10 +195,8 @@ def estimate_preset(
             f"images of shapes {I1.shape} and {I2.shape} and a background of {u_bg.shape[1:]}"
             " differ in size; crop or resample them to one"
         )
-    x, motion = np.empty((2, 0)), np.empty((2, 0))
-    if bubbles is not None:
-        x, motion = np.split(bubbles[["x1", "x2", "u1", "u2"]].to_numpy(dtype=float).T, 2)
-        motion = motion - evaluate_field(u_bg, x)
+    x, motion = as_arrays(bubbles, I1.shape)
+    motion = motion - evaluate_field(u_bg, x)
     found: list[Estimate] = []
     weights = [settings.alpha] if settings.alpha else []
 

@@ -24,6 +24,7 @@ def write_results(results: Analysis, pair: Pair, folder: Path) -> None:
     io.write_field(folder / "displacement.tif", results.u)
     io.write_field(folder / "displacement_um.tif", results.u * size, "um")
     io.write_pages(folder / "strain.tif", results.strain, STRAIN_LABELS)
+    (folder / "increments.tif").unlink(missing_ok=True)
     if len(results.steps) > 1:
         increments = np.concatenate([step.u for step in results.steps])
         labels = [f"step {k}: u{i} [px]" for k in range(len(results.steps)) for i in (1, 2)]

@@ -61,15 +61,37 @@ def prepare(pair: Pair) -> Scene:
     if dead.all():
         raise InputError("mask: leaves no pixel of the region of interest")
     frames = frames[:, *window]
+    # What a mask hides must not stretch the grey scale.
+    frames[:, dead] = np.median(frames[:, ~dead])
+    extent = _extent(pair, (x1, x2, width, height))
     texts: dict[Edge, str] = {
         "top": pair.top,
         "bottom": pair.bottom,
         "left": pair.left,
         "right": pair.right,
     }
-    states = {e: parse_edge(e, t, (height, width), pair.pixel_size) for e, t in texts.items()}
-    edges = {e: s.motion for e, s in states.items() if s.motion is not None and not s.outside}
-    return Scene(frames, dead, edges, _background(pair, states, (x1, x2, width, height)))
+    whole = extent[3], extent[2]
+    states = {e: parse_edge(e, text, whole, pair.pixel_size) for e, text in texts.items()}
+    offset = x1 - extent[0], x2 - extent[1]
+    beyond: dict[Edge, bool] = {
+        "left": offset[0] > 0,
+        "top": offset[1] > 0,
+        "right": offset[0] + width < extent[2],
+        "bottom": offset[1] + height < extent[3],
+    }
+    edges = {}
+    for edge, state in states.items():
+        if state.motion is None or state.outside:
+            continue
+        if beyond[edge]:
+            raise InputError(
+                f"{edge}: the sample's extent goes on beyond it; say 'outside {texts[edge]}'"
+            )
+        start, length = (offset[0], width) if edge in ("top", "bottom") else (offset[1], height)
+        profile = state.motion.shape[1] > 1
+        edges[edge] = state.motion[:, start : start + length] if profile else state.motion
+    background = _background(pair, states, extent, offset, (height, width))
+    return Scene(frames, dead, edges, background)
 
 
 def _frames(pair: Pair) -> Array:
@@ -106,30 +128,40 @@ def _dead(pair: Pair, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     return polygon2mask(shape, corners[:, ::-1])
 
 
+def _extent(pair: Pair, roi: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
+    """Where the sample is, px of the image; it holds the region of interest."""
+    (e1, e2, e_width, e_height), (x1, x2, width, height) = pair.extent or roi, roi
+    if e1 > x1 or e2 > x2 or e1 + e_width < x1 + width or e2 + e_height < x2 + height:
+        raise InputError("extent: the sample must hold the whole region of interest")
+    return e1, e2, e_width, e_height
+
+
 def _background(
-    pair: Pair, states: dict[Edge, EdgeState], roi: tuple[int, int, int, int]
+    pair: Pair,
+    states: dict[Edge, EdgeState],
+    extent: tuple[int, int, int, int],
+    offset: tuple[int, int],
+    shape: tuple[int, int],
 ) -> Array | None:
-    x1, x2, width, height = roi
+    """The background field of the region that begins at an offset in the sample."""
     if pair.background == "none":
         return None
     if pair.background != "elastic":
-        return io.read_field(Path(pair.background), (height, width))
-    e1, e2, e_width, e_height = pair.extent or roi
-    if e1 > x1 or e2 > x2 or e1 + e_width < x1 + width or e2 + e_height < x2 + height:
-        raise InputError("extent: the sample must hold the whole region of interest")
+        return io.read_field(Path(pair.background), shape)
     motion = {edge: state.motion for edge, state in states.items() if state.motion is not None}
     if not motion:
         raise InputError(
             "background: an elastic one wants an edge that is fixed or moved; say so of one"
         )
     sample = Sample(
-        height=e_height,
-        width=e_width,
+        height=extent[3],
+        width=extent[2],
         poisson_ratio=pair.poisson_ratio,
         plane=pair.plane,
         compression=0.0,
     )
     p1, p2 = pair.pixel_size
-    longer = max(e_width * p1, e_height * p2) / np.sqrt(p1 * p2)
+    longer = max(extent[2] * p1, extent[3] * p2) / np.sqrt(p1 * p2)
     u = deform(sample, motion, cell=max(2.0, longer / ELEMENTS), pixel_size=pair.pixel_size)
-    return u[:, x2 - e2 : x2 - e2 + height, x1 - e1 : x1 - e1 + width]
+    x1, x2 = offset
+    return u[:, x2 : x2 + shape[0], x1 : x1 + shape[1]]

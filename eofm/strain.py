@@ -4,6 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from eofm.errors import InputError
+
 Array = NDArray[np.float64]
 
 # What the derivative is called in summaries.
@@ -28,12 +30,22 @@ def strain(u: Array, pixel_size: tuple[float, float], window: float) -> Array:
         ``e11 = d1 u1`` (lateral), ``e22 = d2 u2`` (axial; negative under compression) and
         ``e12 = (d1 u2 + d2 u1) / 2`` (shear), without unit.
 
+    Raises
+    ------
+    InputError
+        If the window is narrower than half a pixel.
+
     Notes
     -----
     Each derivative is the slope of the line that fits the displacement best around a
     pixel. Up to the edges it is exact for displacements that are linear.
     """
     widths = [window / p for p in pixel_size]
+    if min(widths) < 0.5:
+        raise InputError(
+            f"strain_window: {window:g} um is less than half a pixel"
+            f" ({pixel_size[0]:g} x {pixel_size[1]:g} um); a few pixels are usual"
+        )
 
     def derivative(i: int, j: int) -> Array:
         return _slope(u[i] * pixel_size[i], 1 - j, widths) / pixel_size[j]

@@ -152,6 +152,41 @@ def test_unusable_fields_and_tables(folder, tmp_path, capsys):
     )
 
 
+def test_all_outputs_are_checked_before_any_work(folder, tmp_path, capsys):
+    pair = [folder / "a.tif", folder / "b.tif"]
+    out = tmp_path / "u.tif"
+    fails(
+        capsys, ["preset", *pair, "--output", out, "--deviation", tmp_path / "no" / "sd.tif"], "sd"
+    )
+    fails(capsys, ["estimate", *pair, "--output", tmp_path], "is a folder")
+    assert not list(tmp_path.iterdir())
+
+
+def test_preset_and_stiffness_run_as_their_help_says(folder, tmp_path):
+    pair = [str(folder / "a.tif"), str(folder / "b.tif")]
+    out = [str(tmp_path / name) for name in ("E.tif", "u.tif", "sd.tif")]
+    assert main(["preset", *pair, "--output", out[1], "--deviation", out[2]]) == 0
+    assert tifffile.imread(out[2]).min() > 0
+    size = [
+        "--height",
+        "40",
+        "--width",
+        "60",
+        "--compression",
+        "2",
+        "--zero-edges",
+        "top",
+        "bottom",
+    ]
+    words = ["stiffness", *pair, "--output", out[0], "--displacement", out[1], *size]
+    assert main([*words, "--deviation", out[2]]) == 0
+    E = tifffile.imread(out[0])
+    x2, x1 = np.mgrid[:40, :60]
+    disc = (x1 - 30) ** 2 + (x2 - 22) ** 2 < 9**2
+    assert E[disc].mean() > 1.1 * E[~disc].mean()
+    assert np.median(E) == pytest.approx(1, abs=0.05)
+
+
 def test_no_bubble_found(folder, tmp_path, capsys):
     words = ["track", folder / "a.tif", folder / "b.tif", "--output", tmp_path / "bubbles.csv"]
     fails(capsys, [*words, "--min-area", "399"], "no bubble found")

@@ -67,6 +67,9 @@ def test_the_paper_s_parameters(folder):
         ({"sample": {"inclusions": [{"x1": 1}]}}, "sample.inclusions.0.x2: field required"),
         ({"phantom": {"sigma": [2, 1]}}, "sigma: wants 0 < low <= high"),
         ({"tests": {"9": {"changes": {"alpha": -1}}}}, "tests.9.changes: alpha: .*greater than 0"),
+        ({"tests": {"6": {}}}, "'6' cannot be a test's name"),
+        ({"preset": {"alpha_start": 0.001}}, "alpha_start: 0.001 lies outside of alpha_range"),
+        ({"figures": {"pixel_size": [0, 5]}}, "figures.pixel_size.0: .*greater than 0"),
         ({"sample": 5}, "sample: .*dictionary"),
     ],
 )

@@ -1,4 +1,5 @@
 import numpy as np
+import pandas as pd
 import pytest
 from conftest import speckle
 
@@ -75,6 +76,14 @@ def test_sizes_must_agree(rng):
         eofm.estimate_displacement(np.eye(20), np.eye(21))
     with pytest.raises(eofm.InputError, match="differ in size"):
         eofm.estimate_displacement(np.eye(20), np.eye(20), background=np.zeros((2, 20, 21)))
+
+
+@pytest.mark.parametrize("row", [(200, 5, 0, 0), (5, 5, 1e9, 0), (-1, 5, 0, 0)])
+def test_bubbles_of_another_image_are_refused(rng, row):
+    I = speckle((40, 50), rng)
+    table = pd.DataFrame([(9, 9, 0, 0), row], columns=["x1", "x2", "u1", "u2"])
+    with pytest.raises(eofm.InputError, match="bubble 2 of 2 lies or moves outside"):
+        eofm.estimate_displacement(I, I, bubbles=table)
 
 
 def test_table_of_true_bubbles_serves_as_well(pair, truth):

@@ -24,6 +24,24 @@ def test_constant_image_is_refused_by_name(value, which):
         normalise(images["before"], images["after"])
 
 
+def test_signed_integers_do_not_wrap_around():
+    I = np.array([[-30000, 30000], [0, 15000]], dtype=np.int16)
+    np.testing.assert_allclose(normalise(I, I)[0], [[0, 1], [0.5, 0.75]])
+
+
+@pytest.mark.parametrize(
+    ("I2", "message"),
+    [
+        (np.eye(9), "two greyscale images of one size"),
+        (np.ones((8, 8, 3)), "two greyscale images"),
+        (np.where(np.eye(8), np.nan, 0), "NaN or infinite"),
+    ],
+)
+def test_arrays_that_are_no_pair_are_refused(I2, message):
+    with pytest.raises(InputError, match=message):
+        normalise(np.eye(8), I2)
+
+
 def test_gradient_is_accurate_on_a_smooth_image():
     x2, x1 = np.mgrid[:64, :80]
     k1, k2 = 4 * np.pi / 79, 6 * np.pi / 63

@@ -108,6 +108,39 @@ def test_dead_zones_carry_no_data(files, pair):
     assert clean.summary["residual_rms"] < spoilt.summary["residual_rms"]
 
 
+def test_what_a_mask_hides_does_not_stretch_the_grey_scale(files, pair, truth):
+    """A saturated reflection under the mask changes nothing elsewhere."""
+    mask = np.zeros(truth.shape[1:], np.uint8)
+    mask[:2] = 1
+    tifffile.imwrite(files / "mask.tif", mask)
+    found = []
+    for value in (0, 50):
+        for name, I in zip(("before", "after"), pair[:2], strict=True):
+            spoilt = I.copy()
+            spoilt[:2] = value
+            tifffile.imwrite(files / f"{name}.tif", spoilt.astype(np.float32))
+        more = {"mask": str(files / "mask.tif")}
+        found.append(analyse(describe(files, **more), estimation=Estimation(scales=3)).u)
+    np.testing.assert_allclose(found[0], found[1], atol=1e-6)
+
+
+def test_a_profile_belongs_to_the_edge_of_the_whole_sample(files, sample):
+    """The region's background has the profile where the region is."""
+    profile = pd.DataFrame({"u1": 0.0, "u2": np.linspace(0, -3, sample.width)}, index=range(90))
+    profile.to_csv(files / "bottom.csv", index=False)
+    pair = describe(
+        files,
+        roi=(20, 5, 30, 56),
+        extent=(0, 5, sample.width, 56),
+        top="fixed",
+        bottom=f"moved {files / 'bottom.csv'}",
+        background="elastic",
+    )
+    scene = prepare(pair)
+    np.testing.assert_allclose(scene.edges["bottom"][1], profile.u2[20:50])
+    np.testing.assert_allclose(scene.background[1, -1], profile.u2[20:50], atol=1e-3)
+
+
 def test_a_sequence_adds_up(files, truth):
     """Three frames: the motion from the first to the last is the sum along the way."""
     half = truth / 2
@@ -208,6 +241,10 @@ def test_log_intensity(files, pair):
         ({"bottom": "moved 0 -99"}, "bottom: moves by 99 px but the image is only 61 px"),
         ({"background": "elastic"}, "background: an elastic one wants an edge"),
         ({"background": "nowhere.tif"}, "nowhere.tif: no such file"),
+        (
+            {"roi": (0, 10, 90, 40), "extent": (0, 0, 90, 61), "top": "fixed"},
+            "top: the sample's extent goes on beyond it; say 'outside fixed'",
+        ),
         (
             {"background": "elastic", "top": "fixed", "extent": (5, 5, 20, 20)},
             "extent: the sample must hold the whole region",

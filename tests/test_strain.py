@@ -3,6 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from eofm.errors import InputError
 from eofm.strain import strain
 
 
@@ -32,6 +33,11 @@ def test_noise_is_averaged_as_the_window_grows(rng):
     # The deviation of a slope under Gaussian weights falls with the square of the width.
     assert spread[0] / spread[1] == pytest.approx(4, rel=0.3)
     assert spread[1] / spread[2] == pytest.approx(4, rel=0.3)
+
+
+def test_a_window_below_a_pixel_is_refused():
+    with pytest.raises(InputError, match="strain_window: 1 um is less than half a pixel"):
+        strain(np.zeros((2, 9, 9)), (10.0, 10.0), 1.0)
 
 
 def test_compression_is_negative():

@@ -75,6 +75,11 @@ def read_samples(path):
         lines = [
             line for line in Path(path).read_text().splitlines() if line[:1] != "#"
         ]
+        for number, line in enumerate(lines):
+            if line.count("\t") > lines[0].count("\t"):
+                sys.exit(
+                    f"{path}: row {number} has more cells than the table has columns"
+                )
         text = io.StringIO("\n".join(lines))
         table = pd.read_csv(text, sep="\t", dtype=str, keep_default_na=False)
     except (OSError, ValueError) as error:
@@ -89,7 +94,7 @@ def read_samples(path):
     if "sample" not in table:
         sys.exit(f"{path}: lacks the column sample")
     for name in table["sample"]:
-        if not re.fullmatch(r"[\w.-]+", name):
+        if not re.fullmatch(r"[\w-][\w.-]*", name):
             sys.exit(
                 f"{path}: sample '{name}': use letters, digits, dots, - and _ in names"
             )

@@ -1,0 +1,58 @@
+"""Command-line options made from the typed settings, and settings made from options."""
+
+import argparse
+import json
+from difflib import get_close_matches
+from typing import Any, TypeVar
+
+from eofm.config import Section
+from eofm.errors import InputError
+
+S = TypeVar("S", bound=Section)
+
+
+def add_options(group: argparse._ArgumentGroup, section: type[Section]) -> None:
+    """Add an option for every key of a section."""
+    for name, field in section.model_fields.items():
+        default = field.get_default()
+        shown = " ".join(map(str, default)) if isinstance(default, tuple) else default
+        group.add_argument(
+            f"--{name.replace('_', '-')}",
+            metavar="VALUE",
+            nargs="*" if section.takes_many(name) else None,
+            type=parse_value,
+            default=argparse.SUPPRESS,
+            help=f"{field.description} (default: {'none' if shown in ('', None) else shown})",
+        )
+
+
+def parse_value(text: str) -> Any:
+    """A number, object or truth value as in JSON, or else the text itself."""
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError:
+        return text
+
+
+def settings_of(section: type[S], args: argparse.Namespace) -> S:
+    """Checked settings of a section from the options given."""
+    given = {name: value for name, value in vars(args).items() if name in section.model_fields}
+    return section.parse(given, section.__name__.lower())
+
+
+def sections_of(
+    sections: list[type[Section]], given: dict[str, Any], args: argparse.Namespace
+) -> list[Any]:
+    """Settings whose names do not clash, from a file and from options; options win."""
+    known = {name for section in sections for name in section.model_fields}
+    given = given | {name: value for name, value in vars(args).items() if name in known}
+    for name in given.keys() - known:
+        close = get_close_matches(name, sorted(known), 1)
+        hint = f"; did you mean {close[0]}?" if close else ""
+        raise InputError(f"{args.settings}: unknown key {name}{hint}")
+    return [
+        section.parse(
+            {k: v for k, v in given.items() if k in section.model_fields}, args.folder.name
+        )
+        for section in sections
+    ]
