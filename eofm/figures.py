@@ -41,7 +41,7 @@ def image_pair(
 ) -> Figure:
     """Images before and after compression in one grey scale, the brightest pixels cut off.
 
-    With ``bubbles``, red arrows show their motion at its true length, as in Figure 1.
+    With ``bubbles``, red arrows show their motion, as in Figure 1.
     """
     low, high = np.percentile([I1, I2], [0, 99.9])
     with mpl.rc_context(STYLE):
@@ -50,7 +50,7 @@ def image_pair(
             shown = axis.imshow(I, "gray", vmin=low, vmax=high, extent=_extent(I.shape, settings))
             axis.set_title(f"{title} compression")
             if bubbles is not None:
-                _arrows(axis, bubbles, settings)
+                _arrows(axis, bubbles, I.shape[1] * settings.pixel_size[0], settings)
         _colour_bar(axes[0, 1], shown, "intensity")
         _label(axes)
     return figure
@@ -244,13 +244,20 @@ def _show(
     _colour_bar(axis, shown, unit)
 
 
-def _arrows(axis: Axes, bubbles: pd.DataFrame, settings: Figures) -> None:
-    """Arrows of true length; more than ``ARROWS`` would hide the image, so some are left out."""
+def _arrows(axis: Axes, bubbles: pd.DataFrame, width: float, settings: Figures) -> None:
+    """Arrows of the motion, longer than true where that would be too short to see.
+
+    More than ``ARROWS`` would hide the image, so some are left out then.
+    """
     shown = bubbles.iloc[:: -(-len(bubbles) // ARROWS)]
     p = np.array([*settings.pixel_size, *settings.pixel_size])
-    columns = p[:, None] * shown[["x1", "x2", "u1", "u2"]].to_numpy(float).T
-    style: Any = {"color": "red", "angles": "xy", "scale_units": "xy", "scale": 1}
-    axis.quiver(*columns, width=0.0025, headwidth=3.5, headlength=3.5, **style)
+    x1, x2, u1, u2 = p[:, None] * shown[["x1", "x2", "u1", "u2"]].to_numpy(float).T
+    longest = max(float(np.hypot(u1, u2).max()), 1e-9)
+    factor = max((f for f in (1, 2, 5, 10, 20, 50) if f * longest <= 0.05 * width), default=1)
+    style: Any = {"color": "red", "angles": "xy", "scale_units": "xy", "scale": 1 / factor}
+    axis.quiver(x1, x2, u1, u2, width=0.0025, headwidth=3.5, headlength=3.5, **style)
+    if factor > 1:
+        axis.set_title(f"{axis.get_title()}, arrows x {factor}")
 
 
 def _colour_bar(axis: Axes, shown: AxesImage, label: str) -> None:
