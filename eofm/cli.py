@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from eofm import io
 from eofm.config import (
@@ -92,6 +93,14 @@ def virtual_oct(args: argparse.Namespace) -> None:
     io.write_field(args.background, found.background)
 
 
+def _known(args: argparse.Namespace, shape: tuple[int, ...]) -> dict[str, Any]:
+    """Tracked bubbles and background field, where files of them are given."""
+    return {
+        "bubbles": args.bubbles and io.read_bubbles(args.bubbles),
+        "background": args.background and io.read_field(args.background, shape),
+    }
+
+
 def track(args: argparse.Namespace) -> None:
     """Follow large speckle formations (bubbles) from one image to the next.
 
@@ -128,8 +137,7 @@ def estimate(args: argparse.Namespace) -> None:
         I1,
         I2,
         settings,
-        bubbles=args.bubbles and io.read_bubbles(args.bubbles),
-        background=args.background and io.read_field(args.background, I1.shape),
+        **_known(args, I1.shape),
         progress=True,
     )
     io.write_field(args.output, u)
@@ -151,8 +159,7 @@ def preset(args: argparse.Namespace) -> None:
         I1,
         I2,
         settings,
-        bubbles=args.bubbles and io.read_bubbles(args.bubbles),
-        background=args.background and io.read_field(args.background, I1.shape),
+        **_known(args, I1.shape),
         progress=True,
     )
     io.write_field(args.output, found.u)

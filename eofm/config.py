@@ -183,7 +183,7 @@ class VirtualOct(Section):
     noise: float = Field(
         0.3, ge=0, description="intensity of the shot noise, relative to the matrix's mean"
     )
-    display: Range = Field(
+    display: Limits = Field(
         (0.0, 30.0), description="intensities that become 0 and 1, dB above the matrix's mean"
     )
     seed: int = Field(1, ge=0, description="seed of the scatterers and the noise")
@@ -198,9 +198,6 @@ class VirtualOct(Section):
         if not self.reflector_level[0] <= self.reflector_level[1]:
             low, high = self.reflector_level
             raise ValueError(f"reflector_level: wants low <= high (got {low:g}, {high:g})")
-        if not self.display[0] < self.display[1]:
-            low, high = self.display
-            raise ValueError(f"display: wants low < high (got {low:g}, {high:g})")
         return self
 
 

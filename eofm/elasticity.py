@@ -25,6 +25,7 @@ from skfem import (
 from skfem.helpers import ddot, div, sym_grad
 
 from eofm.config import Edge, Forward, Sample
+from eofm.images import unit_spacing
 
 Array = NDArray[np.float64]
 
@@ -88,7 +89,7 @@ def deform(
     ndarray, shape (2, height, width)
         At the pixel centres, px.
     """
-    spacing = np.array(pixel_size) / np.sqrt(np.prod(pixel_size))
+    spacing = np.array(unit_spacing(pixel_size))
     basis = make_basis(sample, cell, spacing)
     nodes = _components(basis)
     x = basis.doflocs[:, nodes[0]] / spacing[:, None]

@@ -25,6 +25,7 @@ from eofm.images import (
     normalise_locally,
     resize,
     resize_field,
+    unit_spacing,
     warp,
 )
 from eofm.multigrid import multigrid
@@ -98,7 +99,7 @@ def estimate_displacement(
             " crop or resample them to one"
         )
     # From here on lengths are true, in a unit that gives pixels the area 1.
-    h1, h2 = np.array(pixel_size) / np.sqrt(np.prod(pixel_size))
+    h1, h2 = unit_spacing(pixel_size)
     h = np.array([[h1], [h2]])
     u_bg = h[..., None] * background
     v_edges = {edge: h * g - u_bg[:, *EDGES[edge]] for edge, g in (edges or {}).items()}

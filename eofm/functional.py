@@ -168,6 +168,8 @@ class Quadratic:
 
     def shifted(self, p: Array) -> "Quadratic":
         """The functional of ``w = v - p``, up to a constant, for ``v = p`` where not free."""
+        if not p.any():
+            return self
         w1, w2 = self.grid.weights
         A11, A12, A22 = self.terms.A
         R = SMOOTHNESS[self.smoothness](self.grid)

@@ -112,6 +112,17 @@ def warp(I: Array, u: Array) -> tuple[Array, NDArray[np.bool_]]:
     return evaluate(I, x), inside(I.shape, x)
 
 
+def warp_field(f: Array, u: Array) -> Array:
+    """Both components of ``f(x + u(x))``, shape (2, height, width)."""
+    return np.stack([warp(c, u)[0] for c in f])
+
+
+def unit_spacing(pixel_size: tuple[float, float]) -> tuple[float, float]:
+    """Lateral and axial side of a pixel in the unit that gives it the area 1."""
+    side = np.sqrt(np.prod(pixel_size))
+    return float(pixel_size[0] / side), float(pixel_size[1] / side)
+
+
 def resize(I: Array, shape: tuple[int, int]) -> Array:
     """Sample an image on a grid of another size with the same corners.
 

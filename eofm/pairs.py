@@ -12,7 +12,7 @@ from eofm.config import Estimation, Pair, Tracking
 from eofm.errors import InputError
 from eofm.estimate import estimate_displacement, normalised
 from eofm.functional import EDGES
-from eofm.images import inside, warp
+from eofm.images import inside, unit_spacing, warp_field
 from eofm.quality import data_share, inconsistency, residual
 from eofm.scene import Scene, prepare
 from eofm.strain import FILTER, strain
@@ -93,19 +93,19 @@ def analyse(
     for I1, I2 in zip(scene.frames[:-1], scene.frames[1:], strict=True):
         steps.append(_step(I1, I2, scene, pair, tracking, estimation, progress))
         # What was at x is at x + total(x) now, and moves on from there.
-        total = total + np.stack([warp(c, total)[0] for c in steps[-1].u])
+        total = total + warp_field(steps[-1].u, total)
         for edge, g in scene.edges.items() if estimation.edge_weight is None else ():
             total[:, *EDGES[edge]] = len(steps) * g
-    spacing = np.array(pair.pixel_size) / np.sqrt(np.prod(pair.pixel_size))
+    spacing = unit_spacing(pair.pixel_size)
     window = pair.strain_window or 3 * float(np.sqrt(np.prod(pair.pixel_size)))
     first, last = scene.frames[0], scene.frames[-1]
     e = strain(total, pair.pixel_size, window)
     left = residual(first, last, total)
     share = data_share(
-        normalised(first, last, estimation, (spacing[0], spacing[1]))[0],
+        normalised(first, last, estimation, spacing)[0],
         estimation.alpha,
         estimation.sigma,
-        (spacing[0], spacing[1]),
+        spacing,
         scene.dead,
     )
     summary = _summary(pair, scene, steps, total, e, window)
@@ -153,7 +153,7 @@ def _step(
     back = back[inside(I2.shape, back[["x1", "x2"]].to_numpy().T)]
     w_bg = None
     if scene.background is not None:
-        w_bg = -np.stack([warp(c, -scene.background)[0] for c in scene.background])
+        w_bg = -warp_field(scene.background, -scene.background)
     w = estimate_displacement(
         I2,
         I1,

@@ -18,7 +18,7 @@ from eofm.bubbles import as_arrays
 from eofm.config import Preset
 from eofm.errors import InputError
 from eofm.functional import Grid, Pointwise, data_term, speckle_term
-from eofm.images import evaluate_field, gradient, normalise, resize_field, warp
+from eofm.images import evaluate_field, gradient, normalise, resize_field, warp, warp_field
 from eofm.multiscale import coarse_to_fine, pyramid
 from eofm.splines import Minimum, Splines
 
@@ -81,7 +81,7 @@ class ImagePair:
         samples = u / np.reshape(self.grid.spacing, (2, 1, 1))
         warped, inside = warp(self.I2, samples)
         grad_I1, grad_I2 = self._gradients
-        g = (grad_I1 + np.stack([warp(c, samples)[0] for c in grad_I2])) / 2
+        g = (grad_I1 + warp_field(grad_I2, samples)) / 2
         return g, warped - self.I1, inside
 
     def density(self, u: Array, mask: NDArray[np.bool_] | bool = True) -> Pointwise:

@@ -12,6 +12,7 @@ from eofm.config import Edge, Pair, Sample
 from eofm.edges import EdgeState, parse_edge
 from eofm.elasticity import deform
 from eofm.errors import InputError
+from eofm.images import unit_spacing
 
 Array = NDArray[np.float64]
 
@@ -160,8 +161,8 @@ def _background(
         plane=pair.plane,
         compression=0.0,
     )
-    p1, p2 = pair.pixel_size
-    longer = max(extent[2] * p1, extent[3] * p2) / np.sqrt(p1 * p2)
+    h1, h2 = unit_spacing(pair.pixel_size)
+    longer = max(extent[2] * h1, extent[3] * h2)
     u = deform(sample, motion, cell=max(2.0, longer / ELEMENTS), pixel_size=pair.pixel_size)
     x1, x2 = offset
     return u[:, x2 : x2 + shape[0], x1 : x1 + shape[1]]
