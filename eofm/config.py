@@ -217,15 +217,44 @@ class Tracking(Section):
     tolerance: Positive = Field(3.0, description="largest deviation from their median motion")
 
 
+# The defaults of the method named "paper" where they differ from the preset's.
+PAPER = {
+    "smoothness": "gradient",
+    "alpha": 0.8,
+    "speckle_scales": "all",
+    "gradients": "reference",
+    "scales": 4,
+    "warps": 1,
+}
+
+
 class Estimation(Section):
     """The functional F, eq. (def_F), and the coarse-to-fine scheme."""
 
-    alpha: Positive = Field(0.8, description="weight of the smoothness term R")
+    method: Literal["preset", "paper"] = Field(
+        "preset", description="whose defaults the other keys have: the accurate preset, or the paper"
+    )
+    smoothness: Literal["gradient", "bending"] = Field(
+        "bending", description="R: squared first (the paper's) or second derivatives"
+    )
+    alpha: Positive | None = Field(
+        None, description="weight of the smoothness term R; none: chosen on held-out pixels"
+    )
     beta: float = Field(0.5, ge=0, description="weight of the speckle term S")
     sigma: Positive = Field(5.0, description="width of the Gaussians g_sigma, px")
-    scales: int = Field(4, ge=1, description="scales; 1 is the paper's 'no multi-scale'")
+    speckle_scales: Literal["all", "coarse"] = Field(
+        "coarse", description="scales with a speckle term: all, or all but the finest"
+    )
+    gradients: Literal["reference", "mean"] = Field(
+        "mean", description="grad I: that of I1 (the paper's), or the mean with the warped I2's"
+    )
+    scales: int | None = Field(
+        None,
+        ge=1,
+        description="scales; 1 is the paper's 'no multi-scale'; none: as many as leave 12 px",
+    )
     factor: float = Field(0.5, gt=0, lt=1, description="ratio of the sizes of two scales")
-    warps: int = Field(1, ge=1, description="linear solves per scale, each after a warp")
+    warps: int = Field(3, ge=1, description="linear solves per scale, each after a warp")
     start: Literal["zero", "background"] = Field(
         "background", description="field about which the images are linearised first"
     )
@@ -247,33 +276,12 @@ class Estimation(Section):
         None, description="window of the local normalisation of brightness and contrast, px"
     )
 
-
-class Preset(Section):
-    """Settings of the accurate estimate."""
-
-    alpha: Positive | None = Field(
-        None, description="weight of the bending energy; none: chosen by cross-validation"
-    )
-    alpha_start: Positive = Field(1.0, description="weight on the coarse scales, and first tried")
-    alpha_range: Spread = Field((0.01, 1000.0), description="least and largest weight tried")
-    beta: float = Field(0.5, ge=0, description="weight of the speckle term on coarse scales")
-    sigma: Positive = Field(5.0, description="width of its Gaussians g_sigma, px")
-    scales: int = Field(4, ge=1, description="scales; fewer are used where the image is small")
-    factor: float = Field(0.5, gt=0, lt=1, description="ratio of the sizes of two scales")
-    warps: int = Field(3, ge=2, description="linear solves per scale, each after a warp")
-    knots: Positive = Field(3.0, description="distance of the spline's knots, px")
-    block: int = Field(8, ge=2, description="side of the blocks that are held out, px")
-    zero_edges: tuple[Edge, ...] = Field((), description="edges where the background is exact")
-    limits: Limits | None = Field(
-        None, description="intensities that become 0 and 1; none: extremes of both images"
-    )
-
-    @model_validator(mode="after")
-    def _start_in_range(self) -> Self:
-        low, high = self.alpha_range
-        if not low <= self.alpha_start <= high:
-            raise ValueError(f"alpha_start: {self.alpha_start:g} lies outside of alpha_range")
-        return self
+    @model_validator(mode="before")
+    @classmethod
+    def _defaults_of_the_method(cls, values: Any) -> Any:
+        if isinstance(values, dict) and values.get("method") == "paper":
+            return PAPER | values
+        return values
 
 
 class Identification(Section):
@@ -378,10 +386,10 @@ class Config(Section):
     phantom: Phantom = Phantom()
     virtual_oct: VirtualOct = VirtualOct()
     tracking: Tracking = Tracking()
-    estimation: Estimation = Estimation()
+    estimation: Estimation = Estimation(method="paper")
     tests: dict[str, Variant] = {}
     figures: Figures = Figures()
-    preset: Preset = Preset()
+    preset: Estimation = Estimation()
     identification: Identification = Identification()
     samples: str = Field("config/samples.tsv", description="table of your own image pairs (TSV)")
 

@@ -1,6 +1,6 @@
 """The elastographic optical flow method: all five tests of the paper, and your images."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
@@ -8,30 +8,85 @@ from numpy.typing import NDArray
 
 from eofm.bubbles import as_arrays
 from eofm.config import Edge, Estimation
+from eofm.crossvalidation import FIRST, choose_alpha, enough
 from eofm.errors import InputError
 from eofm.functional import (
     EDGES,
     Grid,
     Pointwise,
     Quadratic,
-    data_term,
     edge_term,
     speckle_term,
 )
 from eofm.images import (
     evaluate_field,
-    gradient,
     normalise,
     normalise_locally,
     resize,
     resize_field,
     unit_spacing,
-    warp,
 )
+from eofm.matching import ImagePair, Match, random_signs
 from eofm.multigrid import multigrid
-from eofm.multiscale import coarse_to_fine
+from eofm.multiscale import coarse_to_fine, pyramid
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """An estimate and what it came from.
+
+    Attributes
+    ----------
+    u : ndarray, shape (2, height, width)
+        Displacement ``u = u_bg + v``, px, with ``I2(x + u(x)) = I1(x)``: lateral (to the
+        right) and axial (down) motion of what was at x before compression.
+    alpha : float
+        Weight of the smoothness term on the finest scale.
+    match : Match
+        The images linearised about ``u``, in true lengths.
+    functional : Quadratic
+        The F that was minimised last.
+    """
+
+    u: Array
+    alpha: float
+    match: Match
+    functional: Quadratic
+
+    def deviation(self, samples: int = 32, seed: int = 0) -> Array:
+        """Return the standard deviation of the displacement at each pixel, px.
+
+        Parameters
+        ----------
+        samples : int
+            Number of samples; the relative error of the result is about
+            ``1/sqrt(2 samples)``.
+        seed : int
+
+        Returns
+        -------
+        ndarray, shape (2, height, width)
+
+        Notes
+        -----
+        The deviation of a sample of the posterior from its mean minimises F for data and a
+        prior that are noise (Papandreou and Yuille, NIPS 2010). The noise of the data is
+        that of the residuals, with one random sign for each block of pixels (wild cluster
+        bootstrap, Cameron, Gelbach and Miller, Rev. Econ. Stat. 90, 2008): residuals of
+        bubbles are correlated and grow with the gradient, so white noise would promise too
+        much.
+        """
+        rng, F, match = np.random.default_rng(seed), self.functional, self.match
+        w1, w2 = match.grid.weights
+        squares = np.zeros_like(self.u)
+        for _ in range(samples):
+            noise = random_signs(match.grid.shape, rng) * match.used * match.r
+            b = match.g * noise + match.noise * F.rough(rng) / np.outer(w2, w1)
+            v = multigrid(replace(F, terms=Pointwise(F.terms.A, b)), tol=1e-2)
+            squares += v**2
+        return np.sqrt(squares / samples) / np.reshape(match.grid.spacing, (2, 1, 1))
 
 
 def estimate_displacement(
@@ -45,7 +100,7 @@ def estimate_displacement(
     dead: NDArray[np.bool_] | None = None,
     pixel_size: tuple[float, float] = (1.0, 1.0),
     progress: bool = False,
-) -> Array:
+) -> Estimate:
     """Displacement between two images by elastographic optical flow.
 
     Parameters
@@ -53,7 +108,8 @@ def estimate_displacement(
     I1, I2 : ndarray, shape (height, width)
         Images before and after compression.
     settings : Estimation
-        Weights, scales and edges.
+        Weights, scales and edges. The defaults are the preset, the most accurate way this
+        package has; ``Estimation(method="paper")`` is the paper's.
     bubbles : DataFrame, optional
         Columns x1, x2, u1, u2, px, as ``track`` returns them; without it there is no
         speckle term.
@@ -71,9 +127,8 @@ def estimate_displacement(
 
     Returns
     -------
-    ndarray, shape (2, height, width)
-        ``u = u_bg + v``, px, with ``I2(x + u(x)) = I1(x)``: lateral (to the right) and
-        axial (down) displacement of what was at x before compression.
+    Estimate
+        Its ``u`` is the displacement, shape (2, height, width), px.
 
     Raises
     ------
@@ -84,10 +139,15 @@ def estimate_displacement(
     Notes
     -----
     On each scale, ``v`` minimises F, eq. (def_F), with I2 linearised about the current
-    field ``u0`` (zero or u_bg to start with) by ``I_t = I2(x + u0) - I1 - grad I1 . u0``.
-    With one scale, one warp and zero to start with this is the paper's problem,
+    field ``u0`` (zero or u_bg to start with) by ``I_t = I2(x + u0) - I1 - g . u0``. With one
+    scale, one warp, zero to start with and ``g = grad I1`` this is the paper's problem,
     ``I_t = I2 - I1``. Pixels that leave the image, ``x + u0(x)`` outside of it, carry no
     data.
+
+    An alpha that is not given is chosen by cross-validation on the two finest scales, and
+    the larger one is taken. Residuals that are correlated, as those of decorrelated speckle
+    are, make cross-validation choose too little smoothing (Opsomer, Wang and Yang, Stat.
+    Sci. 16, 2001), and to err on the side of smoothness costs less than the other.
     """
     background = np.zeros((2, *I1.shape)) if background is None else background
     dead = np.zeros(I1.shape, dtype=bool) if dead is None else dead
@@ -106,28 +166,24 @@ def estimate_displacement(
     v_edges |= {edge: np.zeros_like(u_bg[:, *EDGES[edge]]) for edge in settings.zero_edges}
     x, motion = as_arrays(bubbles, I1.shape)
     update = h * (motion - evaluate_field(background, x))
-    problem = _Problem(settings, u_bg, v_edges, h * x, update, dead.astype(float))
     I1, I2 = normalised(I1, I2, settings, (h1, h2))
-    u = coarse_to_fine(
-        I1,
-        I2,
-        problem.improve,
-        scales=settings.scales,
-        factor=settings.factor,
-        spacing=(h1, h2),
-        start=u_bg if settings.start == "background" else None,
-        progress=progress,
-    )
-    return u / h[..., None]
+    grids = pyramid(I1.shape, settings.scales, settings.factor, (h1, h2))
+    problem = _Problem(settings, grids, u_bg, v_edges, h * x, update, dead.astype(float))
+    start = u_bg if settings.start == "background" else None
+    coarse_to_fine(I1, I2, problem.improve, grids, start=start, progress=progress)
+    assert problem.found is not None  # there is at least one scale
+    return problem.found
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Problem:
     """All that F is made of beside the images, in true lengths.
 
     Attributes
     ----------
     settings : Estimation
+    grids : list of Grid
+        From coarse to fine.
     u_bg : ndarray, shape (2, height, width)
     v_edges : dict of ndarray, shape (2, n)
         ``v`` on the edges of known motion.
@@ -135,32 +191,51 @@ class _Problem:
         Bubbles and their motion less that of the background.
     dead : ndarray, shape (height, width)
         1 where there is no data, else 0.
+    weights : list of float
+        Values of alpha that were chosen.
+    found : Estimate, optional
+        The result on the finest grid.
     """
 
     settings: Estimation
+    grids: list[Grid]
     u_bg: Array
     v_edges: dict[Edge, Array]
     x: Array
     motion: Array
     dead: Array
+    weights: list[float] = field(default_factory=list)
+    found: Estimate | None = None
 
     def improve(self, grid: Grid, I1: Array, I2: Array, u: Array) -> Array:
         """A better displacement than ``u`` for the images on a grid."""
-        settings = self.settings
+        settings, finest = self.settings, grid is self.grids[-1]
         u_bg = resize_field(self.u_bg, grid.shape)
         live = resize(self.dead, grid.shape) < 0.5
-        grad_I = gradient(I1, grid.spacing)
+        pair = ImagePair(grid, I1, I2, live, settings.gradients == "mean")
         edges = _on_edges(grid, self.v_edges)
-        beta = _weights(grid, self.x, self.v_edges, settings)
+        coarse_only = finest and settings.speckle_scales == "coarse"
+        beta = 0.0 if coarse_only else _weights(grid, self.x, self.v_edges, settings)
         known = speckle_term(grid, self.x, self.motion, beta, settings.sigma)
         if settings.edge_weight:
             known += edge_term(grid, edges, settings.edge_weight)
             edges = {}
         prescribed, free = _prescribed(grid, edges)
-        for _ in range(settings.warps):
-            data = _linearised(grid, I1, I2, grad_I, u, u_bg, live)
-            F = Quadratic(grid, known + data, settings.alpha, free)
-            u = u_bg + prescribed + multigrid(F.shifted(prescribed))
+        tried = any(grid is fine for fine in self.grids[-2:]) and (finest or enough(grid.shape))
+        for warp in range(settings.warps):
+            match = pair.linearise(u)
+            if settings.alpha is None and tried and warp == min(1, settings.warps - 1):
+                near = max(self.weights, default=FIRST)
+                self.weights.append(
+                    choose_alpha(match, u_bg, prescribed, free, settings.smoothness, near)
+                )
+            alpha = settings.alpha or max(self.weights, default=FIRST)
+            F = Quadratic(grid, known + match.density(u_bg), alpha, free, settings.smoothness)
+            F = F.shifted(prescribed)
+            u = u_bg + prescribed + multigrid(F)
+        if finest:
+            h = np.reshape(grid.spacing, (2, 1, 1))
+            self.found = Estimate(u / h, alpha, pair.linearise(u), F)
         return u
 
 
@@ -209,18 +284,3 @@ def _weights(
     near = [d < 2 * settings.sigma for edge, d in distance.items() if edge not in known]
     factor = np.where(np.any(near, axis=0), settings.edge_bubbles, 1.0) if near else 1.0
     return settings.beta * np.broadcast_to(factor, x.shape[1:])
-
-
-def _linearised(
-    grid: Grid,
-    I1: Array,
-    I2: Array,
-    grad_I: Array,
-    u: Array,
-    u_bg: Array,
-    live: NDArray[np.bool_],
-) -> Pointwise:
-    """Data term of ``u_bg + v`` for images linearised about ``u``."""
-    warped, inside = warp(I2, u / np.reshape(grid.spacing, (2, 1, 1)))
-    I_t = warped - I1 - (grad_I * u).sum(0)
-    return data_term(grad_I, I_t + (grad_I * u_bg).sum(0), inside & live)

@@ -23,6 +23,7 @@ from eofm.config import Edge
 from eofm.images import gaussians
 
 Array = NDArray[np.float64]
+Roots = list[tuple[sp.csr_array, sp.csr_array]]
 
 EDGES: dict[Edge, tuple[int | slice, int | slice]] = {
     "top": np.s_[0, :],
@@ -78,6 +79,11 @@ class Pointwise:
 
     A: Array
     b: Array
+
+    def product(self, v: Array) -> Array:
+        """``A v``, shape (2, height, width)."""
+        A11, A12, A22 = self.A
+        return np.stack([A11 * v[0] + A12 * v[1], A12 * v[0] + A22 * v[1]])
 
     def __add__(self, other: Self) -> "Pointwise":
         return Pointwise(self.A + other.A, self.b + other.b)
@@ -157,7 +163,7 @@ class Quadratic:
         w1, w2 = self.grid.weights
         area = np.outer(w2, w1)
         A11, A12, A22 = (sp.diags_array((area * A).ravel()) for A in self.terms.A)
-        R = self.alpha * SMOOTHNESS[self.smoothness](self.grid)
+        R = self.alpha * smoothness_energy(self.grid, self.smoothness)
         keep = np.flatnonzero(np.tile(self.free.ravel(), 2))
         return 2 * sp.block_array([[A11 + R, A12], [A12, A22 + R]], format="csr")[keep][:, keep]
 
@@ -171,12 +177,22 @@ class Quadratic:
         if not p.any():
             return self
         w1, w2 = self.grid.weights
-        A11, A12, A22 = self.terms.A
-        R = SMOOTHNESS[self.smoothness](self.grid)
-        smooth = [(R @ c.ravel()).reshape(self.grid.shape) / np.outer(w2, w1) for c in p]
-        a = np.stack([A11 * p[0] + A12 * p[1], A12 * p[0] + A22 * p[1]])
-        b = self.terms.b - a - self.alpha * np.stack(smooth)
+        area = np.outer(w2, w1)
+        roots = ROOTS[self.smoothness](self.grid)
+        smooth = [sum(P2.T @ (P2 @ c @ P1.T) @ P1 for P2, P1 in roots) / area for c in p]
+        b = self.terms.b - self.terms.product(p) - self.alpha * np.stack(smooth)
         return replace(self, terms=Pointwise(self.terms.A, b))
+
+    def rough(self, rng: np.random.Generator) -> Array:
+        """Draw a functional, shape (2, height, width), with covariance ``alpha R``."""
+        roots = ROOTS[self.smoothness](self.grid)
+
+        def draw() -> Array:
+            sizes = ((P2.shape[0], P1.shape[0]) for P2, P1 in roots)
+            noise = (rng.standard_normal(size) for size in sizes)
+            return sum(P2.T @ z @ P1 for (P2, P1), z in zip(roots, noise, strict=True))
+
+        return np.sqrt(self.alpha) * np.stack([draw(), draw()])
 
     def field(self, x: Array) -> Array:
         """The field, shape (2, height, width), of a vector of free values."""
@@ -185,34 +201,34 @@ class Quadratic:
         return v
 
 
-def gradient_energy(grid: Grid) -> sp.coo_array:
-    """Matrix of ``int grad u . grad v`` for scalar u, v with natural boundaries."""
-    (M1, M2), (D1, D2) = _mass(grid), _differences(grid, 1)
-    return sp.kron(M2, D1) + sp.kron(D2, M1)
+def smoothness_energy(grid: Grid, smoothness: str) -> sp.coo_array:
+    """Matrix of R for scalar fields with natural boundaries."""
+    return sum(sp.kron(P2.T @ P2, P1.T @ P1) for P2, P1 in ROOTS[smoothness](grid))
 
 
-def bending_energy(grid: Grid) -> sp.coo_array:
-    """Matrix of ``int sum_jk d_jk u d_jk v`` for scalar u, v with natural boundaries."""
-    (M1, M2), (D1, D2), (B1, B2) = _mass(grid), _differences(grid, 1), _differences(grid, 2)
-    return sp.kron(M2, B1) + 2 * sp.kron(D2, D1) + sp.kron(B2, M1)
+def gradient_roots(grid: Grid) -> Roots:
+    """Factors of ``R(v) = int |grad v|^2``: of each direction the matrices along x2 and x1.
+
+    ``R = sum_k |P2_k v P1_k^T|^2`` for scalar v of shape (height, width).
+    """
+    (M1, D1), (M2, D2) = (_differences(grid, axis, 1) for axis in (0, 1))
+    return [(M2, D1), (D2, M1)]
 
 
-SMOOTHNESS = {"gradient": gradient_energy, "bending": bending_energy}
+def bending_roots(grid: Grid) -> Roots:
+    """The same of ``R(v) = int sum_jk |d_jk v|^2``."""
+    (M1, D1, B1), (M2, D2, B2) = (_differences(grid, axis, 2) for axis in (0, 1))
+    return [(M2, B1), (D2, np.sqrt(2) * D1), (B2, M1)]
 
 
-def _mass(grid: Grid) -> list[sp.dia_array]:
-    return [sp.diags_array(w) for w in grid.weights]
+ROOTS = {"gradient": gradient_roots, "bending": bending_roots}
 
 
-def _differences(grid: Grid, order: int) -> list[sp.dia_array]:
-    """One-dimensional ``int u^(order) v^(order)`` along x1 and along x2."""
-    matrices = []
-    for n, h in zip(grid.shape[::-1], grid.spacing, strict=True):
-        D = sp.eye_array(n)
-        for m in range(n, n - order, -1):
-            step = sp.diags_array(
-                [-np.ones(m - 1), np.ones(m - 1)], offsets=[0, 1], shape=(m - 1, m)
-            )
-            D = step @ D / h
-        matrices.append(h * D.T @ D)
+def _differences(grid: Grid, axis: int, order: int) -> list[sp.csr_array]:
+    """Matrices P_k along an axis with ``|P_k u|^2 = int |u^(k)|^2`` for k up to an order."""
+    n, h = grid.shape[1 - axis], grid.spacing[axis]
+    D, matrices = sp.eye_array(n, format="csr"), [sp.diags_array(np.sqrt(grid.weights[axis]))]
+    for m in range(n - 1, n - 1 - order, -1):
+        D = sp.diags_array([-np.ones(m), np.ones(m)], offsets=[0, 1], shape=(m, m + 1)) @ D / h
+        matrices.append(np.sqrt(h) * D)
     return matrices

@@ -1,6 +1,6 @@
 """Coarse to fine: one driver for any solver of a linearised flow problem."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import ceil
 
 import numpy as np
@@ -15,11 +15,13 @@ Array = NDArray[np.float64]
 
 # Fewer samples than this along a side say nothing about a displacement.
 SMALLEST = 4
+# Fewer than this are not asked for where the number of scales is left open.
+SMALL = 12
 
 
 def pyramid(
     shape: tuple[int, int],
-    scales: int,
+    scales: int | None,
     factor: float,
     spacing: tuple[float, float] = (1.0, 1.0),
 ) -> list[Grid]:
@@ -27,7 +29,7 @@ def pyramid(
 
     Distances are measured in the same unit on all of them, in which ``spacing`` is that of
     the finest grid, so that displacements, bubbles, sigma, alpha and beta keep their
-    values from scale to scale.
+    values from scale to scale. Without ``scales`` there are as many as leave 12 px.
 
     Raises
     ------
@@ -36,8 +38,10 @@ def pyramid(
     """
     height, width = shape
     grids = [Grid(shape, spacing)]
-    for scale in range(1, scales):
+    for scale in range(1, scales or max(shape)):
         rows, columns = (ceil((n - 1) * factor) + 1 for n in grids[-1].shape)
+        if scales is None and (min(rows, columns) < SMALL or (rows, columns) == grids[-1].shape):
+            break
         if min(rows, columns) < SMALLEST or (rows, columns) == grids[-1].shape:
             raise InputError(
                 f"an image of {height} x {width} px is too small for {scales} scales;"
@@ -53,10 +57,8 @@ def coarse_to_fine(
     I1: Array,
     I2: Array,
     improve: Callable[[Grid, Array, Array, Array], Array],
+    grids: Sequence[Grid],
     *,
-    scales: int,
-    factor: float,
-    spacing: tuple[float, float] = (1.0, 1.0),
     start: Array | None = None,
     progress: bool = False,
 ) -> Array:
@@ -69,12 +71,8 @@ def coarse_to_fine(
     improve : callable
         ``improve(grid, I1, I2, u)`` returns a better displacement than ``u`` for the
         images sampled on ``grid``, in the unit of its spacing.
-    scales : int
-        Number of grids.
-    factor : float
-        Ratio of the sizes of two grids.
-    spacing : (h1, h2)
-        Lateral and axial distance of the pixels.
+    grids : sequence of Grid
+        From coarse to fine, as `pyramid` returns them.
     start : ndarray, shape (2, height, width), optional
         Displacement to begin with; zero by default.
     progress : bool
@@ -83,9 +81,8 @@ def coarse_to_fine(
     Returns
     -------
     ndarray, shape (2, height, width)
-        In the unit of ``spacing``.
+        In the unit of the grids' spacing.
     """
-    grids = pyramid((I1.shape[0], I1.shape[1]), scales, factor, spacing)
     u = np.zeros((2, *I1.shape)) if start is None else start
     u = resize_field(u, grids[0].shape)
     for grid in tqdm(grids, "scales", disable=None if progress else True):

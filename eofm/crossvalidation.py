@@ -1,0 +1,130 @@
+"""The weight of the smoothness term, chosen by the images alone.
+
+Blocks of pixels are held out, and the field that the other pixels give has to carry the
+second image onto the first in those blocks. That needs neither the noise level nor the
+truth, and works for few bubbles on black, where most residuals come from the model, as
+for dense speckle, where they are noise.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eofm.functional import Grid, Pointwise, Quadratic
+from eofm.matching import BLOCK, Match, held_out
+from eofm.multigrid import multigrid
+
+Array = NDArray[np.float64]
+
+# Weight on the coarse scales, and the first one tried; and the least and largest tried.
+FIRST, LEAST, LARGEST = 1.0, 0.01, 1000.0
+# Ratio of two weights that are compared: the minimum is flat.
+STEP = 3.0
+# Fewer blocks than these do not tell weights apart.
+BLOCKS = 50
+# Side of the windows that stand for a large image, px.
+WINDOW = 192
+# Relative residual of the trial solves.
+ACCURACY = 1e-3
+# Part of the mean data term that is added to it: a window may be black.
+RIDGE = 1e-9
+
+
+def enough(shape: tuple[int, ...]) -> bool:
+    """Whether an image has blocks enough to choose a weight."""
+    return shape[0] * shape[1] >= BLOCKS * BLOCK**2
+
+
+def choose_alpha(
+    match: Match,
+    about: Array,
+    prescribed: Array,
+    free: NDArray[np.bool_],
+    smoothness: str,
+    start: float = FIRST,
+) -> float:
+    """Weight with the least misfit on held-out blocks.
+
+    Goes downhill from ``start`` in factors of 3, then to the vertex of the parabola through
+    the three best in log alpha: four or five solves for each half of the held-out blocks.
+    Large images are represented by windows, so that this takes the same time for all.
+
+    Parameters
+    ----------
+    match : Match
+    about, prescribed : ndarray, shape (2, height, width)
+        The displacement is ``about + v``, with ``v`` that of ``prescribed`` where not free.
+    free : ndarray of bool, shape (height, width)
+    smoothness : {"gradient", "bending"}
+    start : float
+        First weight tried.
+    """
+    trials = [
+        _Trial(_cut(match, w), about[:, *w], prescribed[:, *w], free[w], smoothness, fold)
+        for w in _windows(match.grid.shape)
+        for fold in (0, 2)
+    ]
+    misfits: dict[int, float] = {}
+
+    def misfit(k: int) -> float:
+        if k not in misfits:
+            alpha = start * STEP**k
+            inside = LEAST <= alpha <= LARGEST
+            misfits[k] = sum(t.misfit(alpha) for t in trials) if inside else np.inf
+        return misfits[k]
+
+    k = 0
+    while (better := min((k - 1, k + 1), key=misfit)) and misfit(better) < misfit(k):
+        k = better
+    left, middle, right = (misfit(j) for j in (k - 1, k, k + 1))
+    curvature = left - 2 * middle + right
+    shift = 0.5 * (left - right) / curvature if 0 < curvature < np.inf else 0.0
+    return float(start * STEP ** (k + shift))
+
+
+class _Trial:
+    """One fold of one window; each solve starts from the one before."""
+
+    def __init__(
+        self,
+        match: Match,
+        about: Array,
+        prescribed: Array,
+        free: NDArray[np.bool_],
+        smoothness: str,
+        fold: int,
+    ) -> None:
+        self.match, self.about, self.free, self.smoothness = match, about, free, smoothness
+        self.out = held_out(match.grid.shape, fold) & match.used
+        terms = match.density(about, ~self.out)
+        ridge = RIDGE * (terms.A[[0, 2]].mean() + np.finfo(float).tiny)
+        self.terms = Pointwise(terms.A + ridge * np.reshape([1, 0, 1], (3, 1, 1)), terms.b)
+        self.prescribed, self.v = prescribed, np.zeros_like(about)
+
+    def misfit(self, alpha: float) -> float:
+        """Sum of the squared residual on the pixels that are held out."""
+        F = Quadratic(self.match.grid, self.terms, alpha, self.free, self.smoothness)
+        self.v = multigrid(F.shifted(self.prescribed), tol=ACCURACY, initial=self.v)
+        r = self.match.residual(self.about + self.prescribed + self.v)
+        return float(np.sum(r[self.out] ** 2))
+
+
+def _windows(shape: tuple[int, int]) -> list[tuple[slice, slice]]:
+    """The image, or windows about the middles of its quarters where it is large."""
+
+    def cuts(n: int) -> list[slice]:
+        if n <= 2 * WINDOW:
+            return [slice(0, n)]
+        return [slice(c - WINDOW // 2, c + WINDOW // 2) for c in (n // 4, 3 * n // 4)]
+
+    return [(rows, columns) for rows in cuts(shape[0]) for columns in cuts(shape[1])]
+
+
+def _cut(match: Match, window: tuple[slice, slice]) -> Match:
+    rows, columns = window
+    grid = Grid(
+        (rows.stop - rows.start, columns.stop - columns.start),
+        match.grid.spacing,
+    )
+    return Match(
+        grid, match.u[:, *window], match.g[:, *window], match.r[window], match.used[window]
+    )

@@ -1,0 +1,116 @@
+"""How well a displacement carries one image onto the other, to first order."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eofm.functional import Grid, Pointwise, data_term
+from eofm.images import Spline, gradient
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Side of the blocks of pixels that are held out together, and whose residuals are taken to
+# be correlated, px: the size of a bubble and more.
+BLOCK = 8
+
+
+@dataclass(frozen=True)
+class Match:
+    """Two images linearised about a displacement: ``I2(x + v) - I1 = r + g . (v - u)``.
+
+    Attributes
+    ----------
+    grid : Grid
+    u : ndarray, shape (2, height, width)
+        Where the images are linearised, in the unit of the grid's spacing.
+    g : ndarray, shape (2, height, width)
+    r : ndarray, shape (height, width)
+    used : ndarray of bool, shape (height, width)
+        Pixels that carry data: neither dead nor moved out of the image.
+    """
+
+    grid: Grid
+    u: Array
+    g: Array
+    r: Array
+    used: Mask
+
+    def density(self, about: Array, mask: Mask | bool = True) -> Pointwise:
+        """Return the data term of ``v``, where the displacement is ``about + v``, on a mask."""
+        return data_term(self.g, self.residual(about), self.used & mask)
+
+    def residual(self, v: Array) -> Array:
+        """What a displacement leaves of the difference of the images, shape (height, width)."""
+        d = v - self.u
+        return self.r + self.g[0] * d[0] + self.g[1] * d[1]
+
+    def block_misfits(self, v: Array, mask: Mask) -> Array:
+        """Mean of the squared residual in each block of a mask where pixels are used."""
+        mask = mask & self.used
+        rows, columns = (np.arange(n) // BLOCK for n in self.grid.shape)
+        label = (rows[:, None] * (columns[-1] + 1) + columns)[mask]
+        count = np.bincount(label)
+        total = np.bincount(label, self.residual(v)[mask] ** 2)
+        return total[count > 0] / count[count > 0]
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of the residual at ``u``, in units of the normalised images."""
+        return float(np.sqrt(np.mean(self.r[self.used] ** 2))) if self.used.any() else 0.0
+
+
+@dataclass(frozen=True)
+class ImagePair:
+    """Two images on a grid.
+
+    Attributes
+    ----------
+    grid : Grid
+    I1, I2 : ndarray, shape (height, width)
+    live : ndarray of bool, shape (height, width)
+        Pixels of I1 that carry data.
+    mean : bool
+        Whether g is the mean of the gradients of I1 and of the warped I2, which is exact to
+        second order and halves the variance of their noise, or the gradient of I1, as in
+        the paper.
+    """
+
+    grid: Grid
+    I1: Array
+    I2: Array
+    live: Mask
+    mean: bool
+
+    def linearise(self, u: Array) -> Match:
+        """Return the images linearised about a displacement."""
+        samples = u / np.reshape(self.grid.spacing, (2, 1, 1))
+        if self.mean:
+            warped, moved, inside = self._spline.warp_with_gradient(samples, self.grid.spacing)
+            g = (self._gradient + moved) / 2
+        else:
+            warped, inside = self._spline.warp(samples)
+            g = self._gradient
+        return Match(self.grid, u, g, warped - self.I1, inside & self.live)
+
+    @cached_property
+    def _spline(self) -> Spline:
+        return Spline(self.I2)
+
+    @cached_property
+    def _gradient(self) -> Array:
+        return gradient(self.I1, self.grid.spacing)
+
+
+def held_out(shape: tuple[int, ...], fold: int = 0) -> Mask:
+    """Mark a quarter of the pixels, in blocks spread evenly; ``fold`` is 0 to 3."""
+    rows, columns = (np.arange(n) // BLOCK for n in shape)
+    return (2 * rows[:, None] + columns + (rows[:, None] // 2)) % 4 == fold
+
+
+def random_signs(shape: tuple[int, ...], rng: np.random.Generator) -> Array:
+    """One random sign for each block of pixels, shape (height, width)."""
+    rows, columns = (np.arange(n) // BLOCK for n in shape)
+    return rng.choice([-1.0, 1.0], (rows[-1] + 1, columns[-1] + 1))[rows][:, columns]
