@@ -287,7 +287,10 @@ class Estimation(Section):
 class Identification(Section):
     """Settings of the identification."""
 
-    cell: Positive = Field(2.5, description="side of the elements that carry E, px")
+    cell: Positive | None = Field(
+        None,
+        description="side of the elements that carry E, px; none: 2.5, or more in large images",
+    )
     gamma: Positive | None = Field(
         None, description="weight of the total variation; none: chosen on held-out blocks"
     )
@@ -297,8 +300,13 @@ class Identification(Section):
     iterations: int = Field(30, ge=1, description="largest number of Gauss-Newton steps")
     tolerance: Positive = Field(5.0, description="gain in log-likelihood at which they stop")
     damping: Positive = Field(1.0, description="Levenberg's damping at the start")
-    fit_compression: bool = Field(
-        False, description="whether to read the motion of the bottom from the images first"
+    trust: float = Field(
+        0.02,
+        ge=0,
+        description="relative contradiction of the edges' motion above which the images' is taken",
+    )
+    doubt: Positive = Field(
+        0.2, description="the same, of an edge, above which the identification is refused"
     )
     rounds: int = Field(2, ge=1, description="largest number of rounds of test 6")
     settled: Positive = Field(2e-3, description="relative change of u at which test 6 stops")

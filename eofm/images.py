@@ -169,17 +169,3 @@ def gaussians(x1: Array, x2: Array, centres: Array, sigma: ArrayLike, weights: A
         g2 = np.exp(-((x2[rows] - c2) ** 2) / (2 * s**2))
         total[:, rows, columns] += w[:, None, None] * np.outer(g2, g1)
     return total
-
-
-class Spline:
-    """TEMP shim."""
-
-    def __init__(self, I: Array) -> None:
-        self.I, self.G = I, gradient(I)
-
-    def warp(self, u: Array):
-        return warp(self.I, u)
-
-    def warp_with_gradient(self, u: Array, spacing=(1.0, 1.0)):
-        w, i = warp(self.I, u)
-        return w, warp_field(self.G, u) / np.reshape(spacing, (2, 1, 1)), i

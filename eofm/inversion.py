@@ -12,8 +12,7 @@ from scipy.sparse.linalg import LinearOperator, cg
 
 from eofm.config import Identification
 from eofm.functional import Pointwise
-from eofm.sensitivity import Elastic, State
-from eofm.splines import band
+from eofm.sensitivity import Elastic, State, band
 
 Array = NDArray[np.float64]
 
@@ -23,6 +22,9 @@ LARGEST = np.log(30)
 # where all motions are prescribed.
 ANCHOR = 1e-6
 STEP = 3.0
+
+# Called after each Gauss-Newton step with gamma, the number of the step and its gain.
+Report = Callable[[float, int, float], object]
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ class Problem:
     def cost(self, m: Array, state: State, gamma: float) -> float:
         """Value of the functional, bar a constant."""
         u = self.u(state)
-        fit = (_apply(self.data.A, u) * u - 2 * self.data.b * u).sum()
+        fit = (self.data.product(u) * u - 2 * self.data.b * u).sum()
         size = np.sqrt(sum((D @ m.ravel()) ** 2 for D in self.gradients) + self.epsilon**2)
         return float(fit + 2 * gamma * self.area * size.sum())
 
@@ -56,7 +58,7 @@ class Problem:
 
     def misfit(self, state: State) -> Array:
         """Half the negative slope of the data term in u, shape (2, height, width)."""
-        return self.data.b - _apply(self.data.A, self.u(state))
+        return self.data.b - self.data.product(self.u(state))
 
     def back(self, m: Array, state: State, f: Array) -> Array:
         """Adjoint of the derivative of u by ``m``, flattened."""
@@ -69,7 +71,7 @@ class Problem:
 
         def hessian(d: Array) -> Array:
             du = state.derivative(slope(m) * d.reshape(m.shape))
-            return self.back(m, state, _apply(self.data.A, du)) + damped @ d
+            return self.back(m, state, self.data.product(du)) + damped @ d
 
         shape = (m.size, m.size)
         step, _ = cg(
@@ -105,7 +107,9 @@ class Problem:
         return sp.kron(sp.eye_array(rows), T1, "csr"), sp.kron(T2, sp.eye_array(columns), "csr")
 
 
-def gauss_newton(problem: Problem, m: Array, gamma: float, settings: Identification) -> Array:
+def gauss_newton(
+    problem: Problem, m: Array, gamma: float, settings: Identification, report: Report
+) -> Array:
     """Minimiser for one weight, started from ``m``.
 
     Levenberg's damping falls with every step that improves and grows with every other:
@@ -114,10 +118,11 @@ def gauss_newton(problem: Problem, m: Array, gamma: float, settings: Identificat
     state = problem.state(m)
     cost = problem.cost(m, state, gamma)
     damping = settings.damping
-    for _ in range(settings.iterations):
+    for step in range(settings.iterations):
         trial = m + problem.improve(m, state, gamma, damping)
         trial_state = problem.state(trial)
         gain = cost - problem.cost(trial, trial_state, gamma)
+        report(gamma, step + 1, gain)
         if gain <= 0:
             damping *= 8
             continue
@@ -128,7 +133,10 @@ def gauss_newton(problem: Problem, m: Array, gamma: float, settings: Identificat
 
 
 def choose_gamma(
-    problem: Problem, losses: Callable[[Array], Array], settings: Identification
+    problem: Problem,
+    losses: Callable[[Array], Array],
+    settings: Identification,
+    report: Report,
 ) -> tuple[float, Array]:
     """Largest weight whose successor is not clearly better, and its ``m``.
 
@@ -138,10 +146,10 @@ def choose_gamma(
     Trees, 1984, but between paired blocks); otherwise the stronger prior is kept.
     """
     low, gamma = settings.gamma_range
-    m = gauss_newton(problem, np.zeros(problem.model.shape), gamma, settings)
+    m = gauss_newton(problem, np.zeros(problem.model.shape), gamma, settings, report)
     loss = losses(problem.u(problem.state(m)))
     while gamma / STEP >= low:
-        trial = gauss_newton(problem, m, gamma / STEP, settings)
+        trial = gauss_newton(problem, m, gamma / STEP, settings, report)
         trial_loss = losses(problem.u(problem.state(trial)))
         gains = loss - trial_loss
         if gains.mean() <= settings.clear * gains.std() / np.sqrt(gains.size):
@@ -153,8 +161,3 @@ def choose_gamma(
 def slope(m: Array) -> Array:
     """Return the derivative of log E by ``m``: 1 where E is moderate, 0 where it is extreme."""
     return 1 - np.tanh(m / LARGEST) ** 2
-
-
-def _apply(A: Array, u: Array) -> Array:
-    """Product of one symmetric 2 x 2 matrix per pixel with a field."""
-    return np.stack([A[0] * u[0] + A[1] * u[1], A[1] * u[0] + A[2] * u[1]])

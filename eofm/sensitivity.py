@@ -17,11 +17,14 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from eofm.config import Sample
+from eofm.config import Edge, Sample
 from eofm.elasticity import lame
-from eofm.splines import band
+from eofm.functional import EDGES
 
 Array = NDArray[np.float64]
+
+# Part of the mean diagonal that is added to a band matrix; it decides what nothing else does.
+RIDGE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -31,25 +34,34 @@ class Elastic:
     Attributes
     ----------
     sample : Sample
-        Its inclusions are not used.
+        Size, Poisson ratio and contact; its inclusions and compression are not used.
+    motion : dict of ndarray, shape (2, n)
+        Displacement at n points that divide an edge evenly (n = 1: constant), in the unit
+        of the spacing. Where the contact slips, edges are held in u2 alone, and the middle
+        of the first in u1.
     cell : float
-        Side of the elements, px.
+        Side of the elements.
+    spacing : (h1, h2)
+        Lateral and axial distance of the pixels.
     """
 
     sample: Sample
+    motion: dict[Edge, Array]
     cell: float = 2.5
+    spacing: tuple[float, float] = (1.0, 1.0)
 
     @cached_property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of elements."""
-        rows, columns = (max(2, round((n - 1) / self.cell)) for n in self.sample.shape)
+        lengths = ((n - 1) * h for n, h in zip(self.sample.shape, self.spacing[::-1], strict=True))
+        rows, columns = (max(2, round(length / self.cell)) for length in lengths)
         return rows, columns
 
     @cached_property
     def sides(self) -> tuple[float, float]:
-        """Lateral and axial side of an element, px."""
-        rows, columns = self.shape
-        return (self.sample.width - 1) / columns, (self.sample.height - 1) / rows
+        """Lateral and axial side of an element."""
+        (rows, columns), (h1, h2) = self.shape, self.spacing
+        return (self.sample.width - 1) * h1 / columns, (self.sample.height - 1) * h2 / rows
 
     @cached_property
     def element_matrix(self) -> Array:
@@ -92,12 +104,16 @@ class Elastic:
     @cached_property
     def prescribed(self) -> tuple[NDArray[np.bool_], Array]:
         """Which degrees of freedom are prescribed, and the values there (zero elsewhere)."""
-        node = self._node_order
+        node, slip = self._node_order, self.sample.contact == "slip"
         fixed, values = np.zeros(2 * node.size, dtype=bool), np.zeros(2 * node.size)
-        held = node[[0, -1]] if self.sample.contact == "clamped" else node[0, node.shape[1] // 2]
-        fixed[2 * node[[0, -1]] + 1] = True
-        fixed[2 * held] = True
-        values[2 * node[-1] + 1] = -self.sample.compression
+        for number, (edge, g) in enumerate(self.motion.items()):
+            on = node[EDGES[edge]]
+            at = np.linspace(0, g.shape[1] - 1, len(on))
+            middle = slice(len(on) // 2, len(on) // 2 + (number == 0))
+            for i in (0, 1):
+                part = middle if slip and i == 0 else slice(None)
+                fixed[2 * on[part] + i] = True
+                values[2 * on[part] + i] = np.interp(at[part], np.arange(g.shape[1]), g[i])
         return fixed, values
 
     def solve(self, log_E: Array) -> "State":
@@ -130,8 +146,8 @@ class Elastic:
     def elements_to_pixels(self, m: Array) -> Array:
         """Values of elements, shape of `shape`, bilinearly at the pixels."""
         x = [
-            np.clip((np.arange(n) / h - 0.5), 0, k - 1)
-            for n, h, k in zip(self.sample.shape, self.sides[::-1], self.shape, strict=True)
+            np.clip(np.linspace(0, k, n) - 0.5, 0, k - 1)
+            for n, k in zip(self.sample.shape, self.shape, strict=True)
         ]
         rows, columns = (
             np.stack([np.interp(p, np.arange(k), e) for e in np.eye(k)], axis=1)
@@ -188,3 +204,15 @@ class State:
         w = np.zeros_like(f)
         w[free] = cho_solve_banded((self.factor, True), f[free])
         return w
+
+
+def band(A: sp.sparray) -> Array:
+    """Lower band of a symmetric matrix, as LAPACK stores it."""
+    A = sp.coo_array(sp.csr_array(A))
+    row, column = A.coords
+    lower = row >= column
+    row, column = row[lower], column[lower]
+    band = np.zeros(((row - column).max() + 1, A.shape[0]))
+    band[row - column, column] = A.data[lower]
+    band[0] += RIDGE * band[0].mean()
+    return band

@@ -6,28 +6,38 @@ Minimises over ``m``, from which ``log E = L tanh(m / L)`` with ``L = ln 30``,
 
 with the elastic displacement u_E of the sample, the images' noise s, and the total
 variation as prior, which allows sharp outlines. The images are linearised about an
-estimate that already fits them (`eofm.preset`), so no false minimum can trap the search.
+estimate that already fits them (`eofm.estimate`), so no false minimum can trap the search.
+That estimate and the search take turns: the identified sample's displacement is the
+background field of the next estimate, until the field settles.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from tqdm import tqdm
 
-from eofm.config import Forward, Identification, Preset, Sample
-from eofm.elasticity import background_field
+from eofm.config import Edge, Estimation, Forward, Identification, Sample
+from eofm.elasticity import deform
 from eofm.errors import InputError
-from eofm.functional import Grid, Pointwise
-from eofm.images import normalise
-from eofm.inversion import LARGEST, Problem, choose_gamma, gauss_newton
-from eofm.preset import Estimate, ImagePair, estimate_preset, held_out
+from eofm.estimate import Estimate, estimate_displacement
+from eofm.functional import EDGES, Pointwise
+from eofm.images import unit_spacing
+from eofm.inversion import LARGEST, Problem, Report, choose_gamma, gauss_newton
+from eofm.matching import held_out
 from eofm.sensitivity import Elastic
 
 Array = NDArray[np.float64]
 
-# Part of the compression by which the images may contradict the motion of the edges.
-DOUBT = 0.2
+# Contradictions smaller than this are none, px.
+UNCERTAIN = 0.5
+# Elements at most, where their size is left open: their matrix is factorised many times.
+ELEMENTS = 6400
+# Smallest side of an element then, px.
+SMALLEST = 2.5
 
 
 @dataclass(frozen=True)
@@ -38,180 +48,202 @@ class Stiffness:
     ----------
     E : ndarray, shape (height, width)
         Modulus relative to the background's (the median).
-    u : ndarray, shape (2, height, width)
-        Its elastic displacement, px.
+    elastic : ndarray, shape (2, height, width)
+        Elastic displacement of the identified sample, px.
+    estimate : Estimate
+        Test 6: the displacement estimated with that field as background.
+    scale : float
+        Factor of the stated motion of the edges that the images ask for; 1 where they do
+        not contradict it.
     gamma : float
         Weight of the total variation.
     m : ndarray
         What was sought, one value per element.
     problem : Problem
         What it minimises, for error bars, see `eofm.uncertainty`.
+    rounds : int
+        How often identification and estimate took turns.
+    change : float
+        Relative change of the displacement in the last round.
     """
 
     E: Array
-    u: Array
+    elastic: Array
+    estimate: Estimate
+    scale: float
     gamma: float
     m: Array
     problem: Problem
+    rounds: int = 0
+    change: float = np.inf
 
 
 def identify_stiffness(
     I1: Array,
     I2: Array,
     sample: Sample,
-    *,
-    bubbles: pd.DataFrame | None = None,
     settings: Identification = Identification(),
-    preset: Preset = Preset(zero_edges=("top", "bottom")),
-    start: Estimate | None = None,
-    previous: Stiffness | None = None,
+    estimation: Estimation = Estimation(),
+    *,
+    edges: dict[Edge, Array] | None = None,
+    bubbles: pd.DataFrame | None = None,
+    dead: NDArray[np.bool_] | None = None,
+    pixel_size: tuple[float, float] = (1.0, 1.0),
+    progress: bool = False,
 ) -> Stiffness:
-    """Relative modulus of a sample whose top and bottom move by a known amount.
+    """Relative modulus of a sample whose edges move in a known way, and test 6.
 
     Parameters
     ----------
     I1, I2 : ndarray, shape (height, width)
-        Images before and after compression.
+        Images of the whole sample before and after compression.
     sample : Sample
         Size, Poisson ratio, contact and motion of the bottom; its inclusions are not used.
-    bubbles : DataFrame, optional
-        Tracked bubbles for the estimate that starts the search, see `estimate_preset`.
     settings : Identification
-    preset : Preset
-        How that estimate is made; its ``zero_edges`` have to name top and bottom.
-    start : Estimate, optional
-        That estimate, where there is one already.
-    previous : Stiffness, optional
-        Result of an earlier round, which gives the weight and the start.
+    estimation : Estimation
+        How the displacement is estimated.
+    edges : dict of ndarray, shape (2, n), optional
+        Known motion of edges, px (n = 1: constant); by default the top is fixed and the
+        bottom moves up by the sample's compression.
+    bubbles : DataFrame, optional
+        Tracked bubbles, see `estimate_displacement`.
+    dead : ndarray of bool, shape (height, width), optional
+        Pixels before compression that carry no data.
+    pixel_size : (lateral, axial)
+        Sides of a pixel in any unit.
+    progress : bool
+        Show a progress bar, if standard error is a terminal.
 
     Raises
     ------
     InputError
-        If the images are not of the sample's size, the motion of top and bottom is not
-        said to be known, or the images contradict it.
+        If the images are not of the sample's size, fewer than two edges are known to move
+        differently, or the images contradict their motion.
 
     Notes
     -----
-    The weight is divided by 3 until that no longer clearly lowers the misfit on held-out
-    blocks, see `choose_gamma`; each minimum is the start of the next.
+    Where the images contradict the stated motion of the edges by more than
+    ``settings.trust``, all of it is multiplied by the factor for which they ask.
+
+    The weight gamma is divided by 3 until that no longer clearly lowers the misfit on
+    held-out pixels, see `choose_gamma`; each minimum is the start of the next.
     """
-    _check(I1, I2, sample, preset)
-    if start is None:
-        sample = known_sample(I1, I2, sample, settings, preset, bubbles)
-    u_bg = background_field(sample, Forward())
-    if start is None:
-        start = estimate_preset(I1, I2, preset, bubbles=bubbles, background=u_bg)
-    I1, I2 = normalise(I1, I2, preset.limits)
-    pair = ImagePair(Grid(sample.shape), I1, I2, np.zeros_like(u_bg))
-    model = Elastic(sample, settings.cell)
-    mesh_error = model.to_pixels(model.solve(np.zeros(model.shape)).u) - u_bg
+    motion = _motion(sample, edges)
+    _check(I1, I2, sample, motion)
+    known: dict[str, Any] = {"bubbles": bubbles, "dead": dead, "pixel_size": pixel_size}
+    plain = sample.model_copy(update={"inclusions": ()})
+    cell, slip = Forward().background_cell, sample.contact == "slip"
+    u_bg = deform(plain, motion, cell=cell, pixel_size=pixel_size, slip=slip)
+    bar = tqdm(desc="stiffness", unit="step", disable=None if progress else True)
+
+    def report(gamma: float, step: int, gain: float) -> None:
+        bar.update()
+        bar.set_postfix_str(f"gamma {gamma:.2g}, step {step}, gain {gain:.3g}")
+
+    blind = estimation.model_copy(update={"zero_edges": ()})
+    free = estimate_displacement(I1, I2, blind, background=u_bg, **known)
+    scale = _scale(free.u, u_bg, motion, settings)
+    motion, u_bg = {edge: scale * g for edge, g in motion.items()}, scale * u_bg
+    # A contact that slips leaves the motion along the edge open.
+    known["edges"] = None if slip else motion
+    estimate = estimate_displacement(I1, I2, estimation, background=u_bg, **known)
+    found: Stiffness | None = None
+    for rounds in range(1, settings.rounds + 1):
+        found = _identify(plain, motion, u_bg, estimate, settings, pixel_size, found, report)
+        last = estimate.u
+        estimate = estimate_displacement(I1, I2, estimation, background=found.elastic, **known)
+        change = float(np.linalg.norm(estimate.u - last) / max(np.linalg.norm(last), 1e-300))
+        found = replace(found, estimate=estimate, scale=scale, rounds=rounds, change=change)
+        if change <= settings.settled:
+            break
+    bar.close()
+    assert found is not None  # there is at least one round
+    return found
+
+
+def _identify(
+    sample: Sample,
+    motion: dict[Edge, Array],
+    u_bg: Array,
+    estimate: Estimate,
+    settings: Identification,
+    pixel_size: tuple[float, float],
+    previous: Stiffness | None,
+    report: Report,
+) -> Stiffness:
+    """The sample that fits the images, linearised about an estimate."""
+    spacing = unit_spacing(pixel_size)
+    h = np.reshape(spacing, (2, 1, 1))
+    match = estimate.match
+    cell = settings.cell or max(SMALLEST, np.sqrt(match.r.size / ELEMENTS))
+    true_lengths = {edge: h[..., 0] * g for edge, g in motion.items()}
+    model = Elastic(sample, true_lengths, cell, spacing)
+    # What the mesh gets wrong where E = 1.
+    correction = h * u_bg - model.to_pixels(model.solve(np.zeros(model.shape)).u)
 
     def problem(mask: NDArray[np.bool_] | bool) -> Problem:
-        data = pair.density(start.u, mask)
-        scaled = Pointwise(data.A / start.noise**2, data.b / start.noise**2)
-        return Problem(model, -mesh_error, scaled, settings.epsilon)
+        data = match.density(np.zeros_like(u_bg), mask)
+        scaled = Pointwise(data.A / match.noise**2, data.b / match.noise**2)
+        return Problem(model, correction, scaled, settings.epsilon)
 
-    m, gamma = np.zeros(model.shape), settings.gamma
     if previous is not None:
         m, gamma = previous.m, previous.gamma
-    elif gamma is None:
-        out = held_out(sample.shape, preset.block)
+    elif settings.gamma is not None:
+        m, gamma = np.zeros(model.shape), settings.gamma
+    else:
+        out = held_out(match.grid.shape)
         gamma, m = choose_gamma(
-            problem(~out), lambda u: pair.block_misfits(u, preset.block), settings
+            problem(~out), lambda u: match.block_misfits(u, out), settings, report
         )
     whole = problem(True)
-    m = gauss_newton(whole, m, gamma, settings)
+    m = gauss_newton(whole, m, gamma, settings, report)
     log_E = LARGEST * np.tanh(m / LARGEST)
     log_E = model.elements_to_pixels(log_E - np.median(log_E))
-    return Stiffness(np.exp(log_E), whole.u(whole.state(m)), gamma, m, whole)
+    elastic = whole.u(whole.state(m)) / h
+    return Stiffness(np.exp(log_E), elastic, estimate, 1.0, gamma, m, whole)
 
 
-def estimate_identified(
-    I1: Array,
-    I2: Array,
-    sample: Sample,
-    *,
-    bubbles: pd.DataFrame | None = None,
-    settings: Identification = Identification(),
-    preset: Preset = Preset(zero_edges=("top", "bottom")),
-) -> tuple[Estimate, Stiffness]:
-    """Test 6: the preset with the identified sample's field as background.
-
-    Identification and estimate take turns until the field settles, the images being
-    linearised about the last estimate. Parameters and errors as in `identify_stiffness`.
-    """
-    _check(I1, I2, sample, preset)
-    sample = known_sample(I1, I2, sample, settings, preset, bubbles)
-    u_bg = background_field(sample, Forward())
-    estimate = estimate_preset(I1, I2, preset, bubbles=bubbles, background=u_bg)
-    found: Stiffness | None = None
-    for _ in range(settings.rounds):
-        found = identify_stiffness(
-            I1, I2, sample, settings=settings, preset=preset, start=estimate, previous=found
-        )
-        last = estimate.u
-        estimate = estimate_preset(I1, I2, preset, bubbles=bubbles, background=found.u)
-        change = np.linalg.norm(estimate.u - last)
-        if change <= settings.settled * np.linalg.norm(last):
-            break
-    assert found is not None  # there is at least one round
-    return estimate, found
+def _motion(sample: Sample, edges: dict[Edge, Array] | None) -> dict[Edge, Array]:
+    if edges is None:
+        return {"top": np.zeros((2, 1)), "bottom": np.array([[0.0], [-sample.compression]])}
+    return edges
 
 
-def edge_motion(
-    I1: Array,
-    I2: Array,
-    sample: Sample,
-    preset: Preset,
-    bubbles: pd.DataFrame | None = None,
-) -> tuple[float, float]:
-    """Median axial motion of top and bottom in an estimate that does not know it, px."""
-    free = preset.model_copy(update={"zero_edges": ()})
-    u_bg = background_field(sample, Forward())
-    u = estimate_preset(I1, I2, free, bubbles=bubbles, background=u_bg).u
-    return float(np.median(u[1, 0])), float(np.median(u[1, -1]))
-
-
-def known_sample(
-    I1: Array,
-    I2: Array,
-    sample: Sample,
-    settings: Identification,
-    preset: Preset,
-    bubbles: pd.DataFrame | None = None,
-) -> Sample:
-    """Check the sample's compression against the images, or read it from them.
-
-    Raises
-    ------
-    InputError
-        If the images contradict the motion of an edge by more than ``DOUBT`` of the
-        compression and by more than half a px.
-    """
-    top, bottom = edge_motion(I1, I2, sample, preset, bubbles)
-    if settings.fit_compression:
-        sample = sample.model_copy(update={"compression": top - bottom})
-    wrong = max(abs(top), abs(bottom + sample.compression))
-    if wrong > max(DOUBT * abs(sample.compression), 0.5):
-        raise InputError(
-            f"the images contradict the motion of the edges by {wrong:.2f} px; stiffness"
-            f" needs a compression (now {sample.compression:g} px) that is known better,"
-            " or fit_compression"
-        )
-    return sample
-
-
-def _check(I1: Array, I2: Array, sample: Sample, preset: Preset) -> None:
+def _check(I1: Array, I2: Array, sample: Sample, motion: dict[Edge, Array]) -> None:
     for name, I in (("before", I1), ("after", I2)):
         if I.shape != sample.shape:
             raise InputError(
                 f"the image {name} compression has {I.shape[0]} x {I.shape[1]} px but the sample"
                 f" {sample.height} x {sample.width} px; they have to be the same"
             )
-    if not {"top", "bottom"} <= set(preset.zero_edges):
+    means = np.array([g.mean(1) for g in motion.values()])
+    if len(means) < 2 or not np.ptp(means, axis=0).any():
         raise InputError(
-            "stiffness needs the motion of the top and of the bottom; name both in zero_edges"
-            " if the sample's compression is known, or use the preset without identification"
+            "stiffness needs two edges that are known to move differently, such as a fixed top"
+            " and a moved bottom: a sample at rest does not show its stiffness"
         )
-    if sample.compression == 0:
-        raise InputError("the compression is 0 px: a sample at rest does not show its stiffness")
+
+
+def _scale(
+    u: Array, u_bg: Array, edges: Iterable[Edge], settings: Identification
+) -> float:
+    """Factor of the edges' motion for which the images ask, 1 where it is near 1.
+
+    ``u`` is an estimate that does not know the edges. The factor is the least squares fit of
+    the medians along them, less their mean, to those of the stated motion.
+
+    Raises
+    ------
+    InputError
+        If the images contradict the motion of an edge by more than ``settings.doubt``.
+    """
+    seen, stated = (np.array([np.median(v[:, *EDGES[e]], axis=1) for e in edges]) for v in (u, u_bg))
+    a, b = seen - seen.mean(0), stated - stated.mean(0)
+    scale = float((a * b).sum() / (b * b).sum())
+    wrong = float(np.abs(seen - stated).max())
+    if wrong > max(settings.doubt * np.abs(stated).max(), UNCERTAIN):
+        raise InputError(
+            f"the images contradict the motion of the edges by {wrong:.2f} px and would have"
+            f" {scale:.3f} times of it; state it better, or raise the doubt ({settings.doubt:g})"
+        )
+    return 1.0 if abs(scale - 1) <= settings.trust else scale

@@ -1,16 +1,16 @@
 """Error bars of an identified sample.
 
-The deviation of a sample of the posterior is ``H^-1 (J^T f + R^(1/2) z)`` with the
-Gauss-Newton Hessian H, the prior R and normal z (Papandreou and Yuille, NIPS 2010). For f
-the residuals themselves are taken, with one random sign for each block of pixels (wild
-cluster bootstrap, Cameron, Gelbach and Miller, Rev. Econ. Stat. 90, 2008): residuals of
-bubbles are correlated and grow with the gradient, so white noise would promise too much.
+As in `eofm.estimate.Estimate.deviation`, with the Gauss-Newton Hessian H and the prior R
+of the modulus: the deviation of a sample of the posterior is
+``H^-1 (J^T f + R^(1/2) z)`` with normal z, and for f the residuals, with one random sign
+for each block of pixels.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eofm.inversion import slope
+from eofm.matching import random_signs
 from eofm.stiffness import Stiffness
 
 Array = NDArray[np.float64]
@@ -19,9 +19,7 @@ Array = NDArray[np.float64]
 DAMPING = 1e-2
 
 
-def deviations(
-    found: Stiffness, *, samples: int = 32, block: int = 8, seed: int = 0
-) -> tuple[Array, Array]:
+def deviations(found: Stiffness, *, samples: int = 32, seed: int = 0) -> tuple[Array, Array]:
     """Return the standard deviations of the displacement and of log E.
 
     Parameters
@@ -29,8 +27,6 @@ def deviations(
     found : Stiffness
     samples : int
         Number of samples; the relative error of the result is about ``1/sqrt(2 samples)``.
-    block : int
-        Side of the blocks whose residuals share their sign, px.
     seed : int
 
     Returns
@@ -45,14 +41,13 @@ def deviations(
     D1, D2 = problem.gradients
     size = np.sqrt((D1 @ m.ravel()) ** 2 + (D2 @ m.ravel()) ** 2 + problem.epsilon**2)
     root = np.sqrt(found.gamma * problem.area / size)
-    rows, columns = (np.arange(n) // block for n in misfit.shape[1:])
     squares_u, squares_E = np.zeros_like(misfit), np.zeros(misfit.shape[1:])
     for _ in range(samples):
-        signs = rng.choice([-1.0, 1.0], (rows[-1] + 1, columns[-1] + 1))
-        right = problem.back(m, state, signs[rows][:, columns] * misfit)
+        right = problem.back(m, state, random_signs(misfit.shape[1:], rng) * misfit)
         z1, z2 = rng.standard_normal((2, m.size))
         right += D1.T @ (root * z1) + D2.T @ (root * z2)
         d = slope(m) * problem.solve(m, state, found.gamma, DAMPING, right)
         squares_u = squares_u + state.derivative(d) ** 2
         squares_E = squares_E + problem.model.elements_to_pixels(d - np.median(d)) ** 2
+    squares_u /= np.reshape(problem.model.spacing, (2, 1, 1)) ** 2
     return np.sqrt(squares_u / samples), np.sqrt(squares_E / samples)
