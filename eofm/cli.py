@@ -8,7 +8,6 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 from eofm import io
 from eofm.config import (
@@ -17,7 +16,6 @@ from eofm.config import (
     Identification,
     Pair,
     Phantom,
-    Preset,
     Sample,
     Section,
     Tracking,
@@ -93,14 +91,6 @@ def virtual_oct(args: argparse.Namespace) -> None:
     io.write_field(args.background, found.background)
 
 
-def _known(args: argparse.Namespace, shape: tuple[int, ...]) -> dict[str, Any]:
-    """Tracked bubbles and background field, where files of them are given."""
-    return {
-        "bubbles": args.bubbles and io.read_bubbles(args.bubbles),
-        "background": args.background and io.read_field(args.background, shape),
-    }
-
-
 def track(args: argparse.Namespace) -> None:
     """Follow large speckle formations (bubbles) from one image to the next.
 
@@ -123,79 +113,58 @@ def estimate(args: argparse.Namespace) -> None:
 
       eofm estimate before.tif after.tif --bubbles bubbles.csv --output displacement.tif
 
+    By default as accurately as this package can: second derivatives in the smoothness
+    term, its weight chosen on held-out pixels. --method paper has the paper's settings.
+
     Without --bubbles there is no speckle term, without --background no background field.
     Where the background is known to hold at the edges, say so:
 
       eofm estimate before.tif after.tif --bubbles bubbles.csv \
           --background background.tif --zero-edges top bottom --output u.tif
+
+    --deviation writes the standard deviation of u1 and u2 at each pixel.
     """
     from eofm.estimate import estimate_displacement
 
     settings = settings_of(Estimation, args)
     I1, I2 = io.read_pair(args.reference, args.deformed)
-    u = estimate_displacement(
+    found = estimate_displacement(
         I1,
         I2,
         settings,
-        **_known(args, I1.shape),
+        bubbles=args.bubbles and io.read_bubbles(args.bubbles),
+        background=args.background and io.read_field(args.background, I1.shape),
         progress=True,
     )
-    io.write_field(args.output, u)
-
-
-def preset(args: argparse.Namespace) -> None:
-    r"""Displacement as accurately as this package can: bending energy, weight by the images.
-
-      eofm preset before.tif after.tif --output u.tif --deviation sd.tif
-
-    The weight of the smoothness is chosen on held-out blocks of pixels. --deviation writes
-    the standard deviation per pixel. Name --zero-edges only where a --background is exact.
-    """
-    from eofm.preset import estimate_preset
-
-    settings = settings_of(Preset, args)
-    I1, I2 = io.read_pair(args.reference, args.deformed)
-    found = estimate_preset(
-        I1,
-        I2,
-        settings,
-        **_known(args, I1.shape),
-        progress=True,
-    )
+    deviation = args.deviation and found.deviation()
     io.write_field(args.output, found.u)
     if args.deviation:
-        io.write_field(args.deviation, found.deviation())
+        io.write_field(args.deviation, deviation)
 
 
 def stiffness(args: argparse.Namespace) -> None:
     r"""Young's modulus relative to the background, and the displacement that goes with it.
 
       eofm stiffness before.tif after.tif --output E.tif --displacement u.tif \
-          --height 108 --width 180 --compression 3.53 --zero-edges top bottom
+          --height 108 --width 180 --compression 3.53
 
     The images show the whole sample, fixed on top and moved by a known compression at the
-    bottom, px. --deviation writes the standard deviations of u1, u2 (px) and log E.
+    bottom, px. --deviation writes the standard deviations of u1, u2 (px) and log E. The
+    search ends when a step gains less than --least-gain, or after --iterations steps.
     """
-    import numpy as np
-
-    from eofm.stiffness import estimate_identified
+    from eofm.stiffness import identify_stiffness
     from eofm.uncertainty import deviations
 
-    sample = settings_of(Sample, args)
-    preset = settings_of(Preset, args)
-    settings = settings_of(Identification, args)
+    settings = [settings_of(section, args) for section in (Sample, Identification, Estimation)]
     I1, I2 = io.read_pair(args.reference, args.deformed)
     bubbles = args.bubbles and io.read_bubbles(args.bubbles)
-    estimate, found = estimate_identified(
-        I1, I2, sample, bubbles=bubbles, settings=settings, preset=preset
-    )
+    found = identify_stiffness(I1, I2, *settings, bubbles=bubbles, progress=True)
     deviation = args.deviation and deviations(found)
     io.write_image(args.output, found.E)
-    io.write_field(args.displacement, estimate.u)
+    io.write_field(args.displacement, found.estimate.u)
     if deviation:
-        labels = ["sd of u1 [px]", "sd of u2 [px]", "sd of log E"]
-        pages = np.concatenate([deviation[0], deviation[1][None]])
-        io.write_pages(args.deviation, pages, labels)
+        io.write_deviations(args.deviation, *deviation)
+    print(found.summary())
 
 
 def evaluate(args: argparse.Namespace) -> None:
@@ -220,8 +189,9 @@ def sample(args: argparse.Namespace) -> None:
           --lateral-size 3.9 --axial-size 6 --top fixed --bottom 'moved 0 -30 um' \
           --background elastic --poisson-ratio 0.48
 
-    Writes displacement.tif (px) and displacement_um.tif, strain.tif, bubbles.csv,
-    summary.json and four figures. Edges of which nothing is said are free. Settings may
+    Writes displacement.tif (px) and displacement_um.tif, its standard deviation, strain.tif,
+    bubbles.csv, summary.json and figures; with --stiffness true also the relative modulus
+    of a sample that is wholly in the image. Edges of which nothing is said are free. Settings may
     come from a file (YAML, names as the options') where they are many; options win.
     """
     if args.folder.is_file():
@@ -230,14 +200,16 @@ def sample(args: argparse.Namespace) -> None:
     from eofm.report import write_results
 
     given = io.read_settings(args.settings) if args.settings else {}
-    pair, tracking, estimation = sections_of([Pair, Tracking, Estimation], given, args)
+    pair, *settings = sections_of(ANALYSIS, given, args)
     try:
-        results = analyse(pair, tracking, estimation, progress=True)
+        results = analyse(pair, *settings, progress=True)
     except InputError as error:
         raise InputError(f"{args.folder.name}: {error}") from None
     args.folder.mkdir(parents=True, exist_ok=True)
     write_results(results, pair, args.folder)
 
+
+ANALYSIS: list[type[Section]] = [Pair, Tracking, Estimation, Identification]
 
 PAIR = {
     "reference": "image before compression (greyscale TIFF)",
@@ -282,23 +254,14 @@ STEPS: dict[Callable[..., None], tuple[dict[str, str], dict[str, str], list[type
             "OUTPUT": "field to write (TIFF)",
             "bubbles": "table of tracked bubbles (CSV)",
             "background": "background field (TIFF)",
+            "deviation": "field of standard deviations to write (TIFF)",
         },
         [Estimation],
     ),
     sample: (
         {},
         {"FOLDER": "folder to write the results to", "settings": "file of settings (YAML)"},
-        [Pair, Tracking, Estimation],
-    ),
-    preset: (
-        PAIR,
-        {
-            "OUTPUT": "field to write (TIFF)",
-            "bubbles": "table of tracked bubbles (CSV)",
-            "background": "background field (TIFF)",
-            "deviation": "field of standard deviations to write (TIFF)",
-        },
-        [Preset],
+        ANALYSIS,
     ),
     stiffness: (
         PAIR,
@@ -308,7 +271,7 @@ STEPS: dict[Callable[..., None], tuple[dict[str, str], dict[str, str], list[type
             "bubbles": "table of tracked bubbles (CSV)",
             "deviation": "standard deviations to write (TIFF)",
         },
-        [Sample, Preset, Identification],
+        [Sample, Identification, Estimation],
     ),
     evaluate: (
         {"estimate": "estimated field (TIFF)", "truth": "true field (TIFF)"},

@@ -298,7 +298,7 @@ class Identification(Section):
     clear: float = Field(2.0, ge=0, description="standard errors that make a gain clear")
     epsilon: Positive = Field(0.02, description="gradient of log E that counts as an edge, 1/px")
     iterations: int = Field(30, ge=1, description="largest number of Gauss-Newton steps")
-    tolerance: Positive = Field(5.0, description="gain in log-likelihood at which they stop")
+    least_gain: Positive = Field(5.0, description="gain in log-likelihood at which they stop")
     damping: Positive = Field(1.0, description="Levenberg's damping at the start")
     trust: float = Field(
         0.02,
@@ -351,6 +351,12 @@ class Pair(Section):
     plane: Literal["strain", "stress"] = Field("strain", description="of the elastic background")
     strain_window: Positive | None = Field(
         None, description="Gaussian window of the strain's local linear fits, um; none: 3 px"
+    )
+    error_bars: int = Field(
+        16, ge=0, description="samples for the standard deviations; 0 leaves them out"
+    )
+    stiffness: bool = Field(
+        False, description="whether to identify the modulus; wants the whole sample in the image"
     )
 
     @property

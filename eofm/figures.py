@@ -56,14 +56,22 @@ def image_pair(
     return figure
 
 
-def compare_fields(fields: Mapping[str, Array], settings: Figures = Figures()) -> Figure:
-    """Several fields by the names of their methods: u1 above u2, one scale in a row."""
+def compare_fields(
+    fields: Mapping[str, Array], settings: Figures = Figures(), deviation: Array | None = None
+) -> Figure:
+    """Several fields by the names of their methods: u1 above u2, one scale in a row.
+
+    With the standard ``deviation`` of the last one beside it.
+    """
+    shape, columns = next(iter(fields.values())).shape[1:], len(fields) + (deviation is not None)
     with mpl.rc_context(STYLE):
-        figure, axes = _panels(2, len(fields), next(iter(fields.values())).shape[1:], settings)
+        figure, axes = _panels(2, columns, shape, settings)
         for i in (0, 1):
             limits = _limits(np.stack([u[i] for u in fields.values()]), i)
-            for axis, (name, u) in zip(axes[i], fields.items(), strict=True):
+            for axis, (name, u) in zip(axes[i], fields.items(), strict=False):
                 _draw(axis, u[i], f"{name}: ${COMPONENTS[i]}$", MAPS[i], limits, settings)
+            if deviation is not None:
+                _draw_deviation(axes[i, -1], deviation[i], i, settings)
         _label(axes)
     return figure
 
@@ -99,20 +107,26 @@ def field(u: Array, settings: Figures = Figures()) -> Figure:
 
 
 def field_and_error(
-    estimate: Array, truth: Array, largest: float, settings: Figures = Figures()
+    estimate: Array,
+    truth: Array,
+    largest: float,
+    settings: Figures = Figures(),
+    deviation: Array | None = None,
 ) -> Figure:
-    """An estimated field (left) and its absolute error (right), u1 above u2.
+    """An estimated field (left), its absolute error, and its standard deviation if known.
 
-    The estimate is drawn on the scale of the true field, the error from 0 to
-    ``largest`` px, so that figures of several estimates compare.
+    u1 stands above u2. The estimate is drawn on the scale of the true field, the error from
+    0 to ``largest`` px, so that figures of several estimates compare.
     """
     with mpl.rc_context(STYLE):
-        figure, axes = _panels(2, 2, truth.shape[1:], settings)
+        figure, axes = _panels(2, 2 if deviation is None else 3, truth.shape[1:], settings)
         for i in (0, 1):
             draw_component(axes[i, 0], estimate[i], i, _limits(truth[i], i), settings)
             error = np.abs(estimate[i] - truth[i])
             title = f"absolute error of ${COMPONENTS[i]}$, at most {error.max():.2f} px"
             _draw(axes[i, 1], error, title, "magma_r", (0, largest), settings)
+            if deviation is not None:
+                _draw_deviation(axes[i, 2], deviation[i], i, settings)
         _label(axes)
     return figure
 
@@ -144,21 +158,31 @@ def quality(residual: Array, inconsistency: Array, share: Array, settings: Figur
     return figure
 
 
-def moduli(truth: Array, E: Array, deviation: Array, settings: Figures) -> Figure:
-    """True and identified modulus on one logarithmic scale, and the deviation of log E."""
-    largest = np.abs(np.log10(np.stack([truth, E]))).max()
-    sides = zip(E.shape[::-1], settings.pixel_size, strict=True)
-    x1, x2 = (np.arange(n) * p for n, p in sides)
+def moduli(
+    maps: Mapping[str, Array],
+    deviation: Array | None,
+    settings: Figures,
+    outline: Array | None = None,
+) -> Figure:
+    """Relative moduli by their names on one logarithmic scale, and the deviation of ln E.
+
+    Black lines show where ``outline``, a true modulus, passes the geometric mean of its
+    extremes.
+    """
+    shape = next(iter(maps.values())).shape
+    largest = max(np.abs(np.log10(np.stack(list(maps.values())))).max(), 0.05)
+    x1, x2 = (np.arange(n) * p for n, p in zip(shape[::-1], settings.pixel_size, strict=True))
     with mpl.rc_context(STYLE):
-        figure, axes = _panels(1, 3, E.shape, settings)
-        limits, names = (-largest, largest), ("true", "identified")
-        for axis, values, name in zip(axes[0, :2], (truth, E), names, strict=True):
+        figure, axes = _panels(1, len(maps) + (deviation is not None), shape, settings)
+        for axis, (name, E) in zip(axes[0], maps.items(), strict=False):
             title = f"$\\log_{{10}} E / E_{{bg}}$, {name}"
-            _show(axis, np.log10(values), title, "PuOr_r", limits, "", settings)
-            if np.ptp(truth):
-                axis.contour(x1, x2, truth, [np.sqrt(truth.min() * truth.max())], colors="black")
-        top = float(deviation.max())
-        _show(axes[0, 2], deviation, "deviation of $\\ln E$", "magma_r", (0, top), "", settings)
+            _show(axis, np.log10(E), title, "PuOr_r", (-largest, largest), "", settings)
+            if outline is not None:
+                for extreme in {outline.min(), outline.max()} - {1.0}:
+                    axis.contour(x1, x2, outline, [np.sqrt(extreme)], colors="black")
+        if deviation is not None:
+            top, title = float(deviation.max()), "standard deviation of $\\ln E$"
+            _show(axes[0, -1], deviation, title, "magma_r", (0, top), "", settings)
         _label(axes)
     return figure
 
@@ -225,6 +249,12 @@ def _draw(
         x1, x2 = (np.arange(1, n - 1) * p for n, p in sides)
         lines = axis.contour(x1, x2, inner, levels, colors="black", linestyles="solid")
         axis.clabel(lines, fontsize=6, fmt="%g")
+
+
+def _draw_deviation(axis: Axes, deviation: Array, i: int, settings: Figures) -> None:
+    largest = max(float(np.percentile(deviation, 99.5)), 1e-6)
+    title = f"standard deviation of ${COMPONENTS[i]}$"
+    _show(axis, deviation, title, "magma_r", (0, largest), "px", settings)
 
 
 def _show(

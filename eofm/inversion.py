@@ -67,7 +67,7 @@ class Problem:
     def solve(self, m: Array, state: State, gamma: float, damping: float, right: Array) -> Array:
         """Gauss-Newton system, by conjugate gradients with the damped prior's inverse."""
         damped = gamma * self.prior(m) + damping * sp.eye_array(m.size)
-        factor = cholesky_banded(band(damped), lower=True)
+        factor = cholesky_banded(band(damped), lower=True, check_finite=False)
 
         def hessian(d: Array) -> Array:
             du = state.derivative(slope(m) * d.reshape(m.shape))
@@ -77,7 +77,7 @@ class Problem:
         step, _ = cg(
             LinearOperator(shape, hessian),
             right,
-            M=LinearOperator(shape, lambda r: cho_solve_banded((factor, True), r)),
+            M=LinearOperator(shape, lambda r: cho_solve_banded((factor, True), r, check_finite=False)),
             rtol=1e-2,
             maxiter=60,
         )
@@ -127,7 +127,7 @@ def gauss_newton(
             damping *= 8
             continue
         m, state, cost, damping = trial, trial_state, cost - gain, damping / 4
-        if gain < settings.tolerance:
+        if gain < settings.least_gain:
             break
     return m
 

@@ -47,10 +47,10 @@ class Match:
         d = v - self.u
         return self.r + self.g[0] * d[0] + self.g[1] * d[1]
 
-    def block_misfits(self, v: Array, mask: Mask) -> Array:
+    def block_misfits(self, v: Array, mask: Mask, block: int = BLOCK) -> Array:
         """Mean of the squared residual in each block of a mask where pixels are used."""
         mask = mask & self.used
-        rows, columns = (np.arange(n) // BLOCK for n in self.grid.shape)
+        rows, columns = (np.arange(n) // block for n in self.grid.shape)
         label = (rows[:, None] * (columns[-1] + 1) + columns)[mask]
         count = np.bincount(label)
         total = np.bincount(label, self.residual(v)[mask] ** 2)
@@ -104,9 +104,9 @@ class ImagePair:
         return gradient(self.I1, self.grid.spacing)
 
 
-def held_out(shape: tuple[int, ...], fold: int = 0) -> Mask:
+def held_out(shape: tuple[int, ...], fold: int = 0, block: int = BLOCK) -> Mask:
     """Mark a quarter of the pixels, in blocks spread evenly; ``fold`` is 0 to 3."""
-    rows, columns = (np.arange(n) // BLOCK for n in shape)
+    rows, columns = (np.arange(n) // block for n in shape)
     return (2 * rows[:, None] + columns + (rows[:, None] // 2)) % 4 == fold
 
 

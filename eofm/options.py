@@ -5,7 +5,7 @@ import json
 from difflib import get_close_matches
 from typing import Any, TypeVar
 
-from eofm.config import Section
+from eofm.config import PAPER, Estimation, Section
 from eofm.errors import InputError
 
 S = TypeVar("S", bound=Section)
@@ -22,7 +22,9 @@ def add_options(group: argparse._ArgumentGroup, section: type[Section]) -> None:
             nargs="*" if section.takes_many(name) else None,
             type=parse_value,
             default=argparse.SUPPRESS,
-            help=f"{field.description} (default: {'none' if shown in ('', None) else shown})",
+            help=f"{field.description} (default: {'none' if shown in ('', None) else shown}"
+            + (f"; paper: {PAPER[name]}" if section is Estimation and name in PAPER else "")
+            + ")",
         )
 
 

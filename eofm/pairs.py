@@ -8,26 +8,46 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from eofm.bubbles import track
-from eofm.config import Estimation, Pair, Tracking
+from eofm.config import Estimation, Identification, Pair, Tracking
 from eofm.errors import InputError
-from eofm.estimate import estimate_displacement, normalised
+from eofm.estimate import Estimate, estimate_displacement, normalised
 from eofm.functional import EDGES
 from eofm.images import inside, unit_spacing, warp_field
 from eofm.quality import data_share, inconsistency, residual
 from eofm.scene import Scene, prepare
+from eofm.stiffness import Stiffness, identify_stiffness
 from eofm.strain import FILTER, strain
+from eofm.uncertainty import deviations
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Step:
-    """Results of one step from a frame to the next, px."""
+    """Results of one step from a frame to the next, px.
 
-    u: Array
+    Attributes
+    ----------
+    estimate : Estimate
+    deviation : ndarray, shape (2, height, width), or None
+        Standard deviation of its displacement.
+    standard : ndarray, shape (2, height, width)
+        Standard optical flow, for comparison.
+    bubbles : DataFrame
+    inconsistency : ndarray, shape (height, width)
+        Forward-backward error.
+    stiffness : Stiffness or None
+    log_E_deviation : ndarray, shape (height, width), or None
+        Standard deviation of the logarithm of its modulus.
+    """
+
+    estimate: Estimate
+    deviation: Array | None
     standard: Array
     bubbles: pd.DataFrame
     inconsistency: Array
+    stiffness: Stiffness | None
+    log_E_deviation: Array | None
 
 
 @dataclass(frozen=True)
@@ -40,6 +60,8 @@ class Analysis:
         First and last frame in the region of interest.
     u : ndarray, shape (2, height, width)
         Displacement from the first frame to the last, px.
+    deviation : ndarray, shape (2, height, width), or None
+        Its standard deviation, px; errors of steps count as independent.
     steps : list of Step
         The results of each step.
     strain : ndarray, shape (3, height, width)
@@ -53,6 +75,7 @@ class Analysis:
     first: Array
     last: Array
     u: Array
+    deviation: Array | None
     steps: list[Step]
     strain: Array
     residual: Array
@@ -64,6 +87,7 @@ def analyse(
     pair: Pair,
     tracking: Tracking = Tracking(),
     estimation: Estimation = Estimation(),
+    identification: Identification = Identification(),
     *,
     progress: bool = False,
 ) -> Analysis:
@@ -73,7 +97,7 @@ def analyse(
     ----------
     pair : Pair
         The images and what is known of the sample.
-    tracking, estimation : Tracking, Estimation
+    tracking, estimation, identification : Tracking, Estimation, Identification
         Settings of the steps.
     progress : bool
         Show progress bars, if standard error is a terminal.
@@ -86,14 +110,20 @@ def analyse(
     Notes
     -----
     In a sequence, the motion of an edge is that of one step, and each step imposes it on
-    the image's own rows and columns: right while the edge stays near them.
+    the image's own rows and columns: right while the edge stays near them. The modulus
+    is that of the first step, when the sample is where the image shows it.
     """
     scene = prepare(pair)
-    steps, total = [], np.zeros((2, *scene.dead.shape))
+    steps: list[Step] = []
+    total, variance = np.zeros((2, *scene.dead.shape)), np.zeros((2, *scene.dead.shape))
     for I1, I2 in zip(scene.frames[:-1], scene.frames[1:], strict=True):
-        steps.append(_step(I1, I2, scene, pair, tracking, estimation, progress))
+        sought = identification if pair.stiffness and not steps else None
+        step = _step(I1, I2, scene, pair, tracking, estimation, sought, progress)
+        steps.append(step)
         # What was at x is at x + total(x) now, and moves on from there.
-        total = total + warp_field(steps[-1].u, total)
+        if step.deviation is not None:
+            variance += np.maximum(warp_field(step.deviation**2, total), 0)
+        total = total + warp_field(step.estimate.u, total)
         for edge, g in scene.edges.items() if estimation.edge_weight is None else ():
             total[:, *EDGES[edge]] = len(steps) * g
     spacing = unit_spacing(pair.pixel_size)
@@ -103,7 +133,8 @@ def analyse(
     left = residual(first, last, total)
     share = data_share(
         normalised(first, last, estimation, spacing)[0],
-        estimation.alpha,
+        estimation.smoothness,
+        steps[-1].estimate.alpha,
         estimation.sigma,
         spacing,
         scene.dead,
@@ -116,7 +147,10 @@ def analyse(
         ),
         "share_of_data_median": float(np.median(share)),
     }
-    return Analysis(first, last, total, steps, e, left, share, summary)
+    deviation = np.sqrt(variance) if pair.error_bars else None
+    if deviation is not None:
+        summary["deviation_median_px"] = [float(np.median(d)) for d in deviation]
+    return Analysis(first, last, total, deviation, steps, e, left, share, summary)
 
 
 def _step(
@@ -126,27 +160,34 @@ def _step(
     pair: Pair,
     tracking: Tracking,
     estimation: Estimation,
+    identification: Identification | None,
     progress: bool,
 ) -> Step:
-    """Standard flow, tracked bubbles, EOFM, and EOFM backwards."""
+    """Standard flow, tracked bubbles, EOFM or the identified sample, and EOFM backwards."""
     shared: dict[str, Any] = {"pixel_size": pair.pixel_size, "progress": progress}
-    plain = estimation.model_copy(update={"beta": 0.0, "zero_edges": ()})
-    standard = estimate_displacement(I1, I2, plain, dead=scene.dead, **shared)
+    kept = estimation.model_dump(include={"scales", "factor", "limits", "local_window"})
+    plain = Estimation(method="paper", beta=0.0, warps=estimation.warps, **kept)
+    standard = estimate_displacement(I1, I2, plain, dead=scene.dead, **shared).u
     guess = standard if scene.background is None else scene.background
     bubbles = track(I1, I2, tracking, prediction=guess)
     bubbles = bubbles[~scene.dead[_nearest(bubbles.x2), _nearest(bubbles.x1)]]
     if bubbles.empty:
         raise InputError("mask: leaves no bubble; make it smaller, or lower the threshold")
-    u = estimate_displacement(
-        I1,
-        I2,
-        estimation,
-        bubbles=bubbles,
-        background=scene.background,
-        edges=scene.edges,
-        dead=scene.dead,
-        **shared,
-    )
+    known: dict[str, Any] = {"bubbles": bubbles, "edges": scene.edges, "dead": scene.dead}
+    stiffness, deviation, log_E_deviation = None, None, None
+    if identification is not None:
+        stiffness = identify_stiffness(
+            I1, I2, scene.sample, identification, estimation, **known, **shared
+        )
+        estimate = stiffness.estimate
+        if pair.error_bars:
+            deviation, log_E_deviation = deviations(stiffness, samples=pair.error_bars)
+    else:
+        estimate = estimate_displacement(
+            I1, I2, estimation, background=scene.background, **known, **shared
+        )
+        if pair.error_bars:
+            deviation = estimate.deviation(pair.error_bars)
     back = bubbles.assign(
         x1=bubbles.x1 + bubbles.u1, x2=bubbles.x2 + bubbles.u2, u1=-bubbles.u1, u2=-bubbles.u2
     )
@@ -157,13 +198,21 @@ def _step(
     w = estimate_displacement(
         I2,
         I1,
-        estimation,
+        estimation.model_copy(update={"alpha": estimate.alpha}),
         bubbles=back,
         background=w_bg,
         edges={edge: -g for edge, g in scene.edges.items()},
         **shared,
+    ).u
+    return Step(
+        estimate,
+        deviation,
+        standard,
+        bubbles,
+        inconsistency(estimate.u, w),
+        stiffness,
+        log_E_deviation,
     )
-    return Step(u, standard, bubbles, inconsistency(u, w))
 
 
 def _nearest(x: pd.Series) -> NDArray[np.int64]:
@@ -186,6 +235,7 @@ def _summary(
         "bubble_quality_median": float(
             np.median(np.concatenate([s.bubbles.quality for s in steps]))
         ),
+        "alpha": [step.estimate.alpha for step in steps],
         "u1_range_px": span(u[0]),
         "u2_range_px": span(u[1]),
         "u1_range_um": span(u[0] * pair.lateral_size),

@@ -26,13 +26,18 @@ def inconsistency(forward: Array, backward: Array) -> Array:
 
 
 def data_share(
-    I1: Array, alpha: float, width: float, spacing: tuple[float, float], dead: NDArray[np.bool_]
+    I1: Array,
+    smoothness: str,
+    alpha: float,
+    width: float,
+    spacing: tuple[float, float],
+    dead: NDArray[np.bool_],
 ) -> Array:
     """Share of the data in the weaker direction of the estimate, from 0 to 1.
 
-    ``l / (l + alpha / width^2)``, where l is the smaller eigenvalue of the mean of
-    ``grad I grad I^T`` over a Gaussian of standard deviation ``width``, and the smoothness
-    term holds a bump of that width with ``alpha / width^2``. Near 1 the images decide, near 0
+    ``l / (l + k)``, where l is the smaller eigenvalue of the mean of ``grad I grad I^T`` over a
+    Gaussian of standard deviation ``width``, and k is what the smoothness term holds a bump
+    of that width with: ``alpha / width^2``, or ``2 alpha / width^4`` of the bending energy. Near 1 the images decide, near 0
     the regulariser and what is known of edges, bubbles and background.
     """
     g1, g2 = np.where(dead, 0, gradient(I1, spacing))
@@ -40,4 +45,5 @@ def data_share(
     A11, A12, A22 = (ndimage.gaussian_filter(A, widths) for A in (g1 * g1, g1 * g2, g2 * g2))
     smaller = (A11 + A22) / 2 - np.hypot((A11 - A22) / 2, A12)
     smaller = np.maximum(smaller, 0)
-    return smaller / (smaller + alpha / width**2)
+    held = alpha / width**2 if smoothness == "gradient" else 2 * alpha / width**4
+    return smaller / (smaller + held)

@@ -34,12 +34,15 @@ class Scene:
         Known motion of edges of the region in one step, px.
     background : ndarray, shape (2, height, width), or None
         Background field of one step, px.
+    sample : Sample
+        Size and materials of the whole sample.
     """
 
     frames: Array
     dead: NDArray[np.bool_]
     edges: dict[Edge, Array]
     background: Array | None
+    sample: Sample
 
 
 def prepare(pair: Pair) -> Scene:
@@ -91,8 +94,20 @@ def prepare(pair: Pair) -> Scene:
         start, length = (offset[0], width) if edge in ("top", "bottom") else (offset[1], height)
         profile = state.motion.shape[1] > 1
         edges[edge] = state.motion[:, start : start + length] if profile else state.motion
-    background = _background(pair, states, extent, offset, (height, width))
-    return Scene(frames, dead, edges, background)
+    if pair.stiffness and any(beyond[edge] or state.outside for edge, state in states.items()):
+        raise InputError(
+            "stiffness: wants the whole sample in the region of interest; without it, estimate"
+            " the displacement alone"
+        )
+    sample = Sample(
+        height=extent[3],
+        width=extent[2],
+        poisson_ratio=pair.poisson_ratio,
+        plane=pair.plane,
+        compression=0.0,
+    )
+    background = _background(pair, sample, states, offset, (height, width))
+    return Scene(frames, dead, edges, background, sample)
 
 
 def _frames(pair: Pair) -> Array:
@@ -139,8 +154,8 @@ def _extent(pair: Pair, roi: tuple[int, int, int, int]) -> tuple[int, int, int, 
 
 def _background(
     pair: Pair,
+    sample: Sample,
     states: dict[Edge, EdgeState],
-    extent: tuple[int, int, int, int],
     offset: tuple[int, int],
     shape: tuple[int, int],
 ) -> Array | None:
@@ -154,15 +169,8 @@ def _background(
         raise InputError(
             "background: an elastic one wants an edge that is fixed or moved; say so of one"
         )
-    sample = Sample(
-        height=extent[3],
-        width=extent[2],
-        poisson_ratio=pair.poisson_ratio,
-        plane=pair.plane,
-        compression=0.0,
-    )
     h1, h2 = unit_spacing(pair.pixel_size)
-    longer = max(extent[2] * h1, extent[3] * h2)
+    longer = max(sample.width * h1, sample.height * h2)
     u = deform(sample, motion, cell=max(2.0, longer / ELEMENTS), pixel_size=pair.pixel_size)
     x1, x2 = offset
     return u[:, x2 : x2 + shape[0], x1 : x1 + shape[1]]

@@ -77,6 +77,15 @@ class Stiffness:
     rounds: int = 0
     change: float = np.inf
 
+    def summary(self) -> str:
+        """What came out and why it stopped, in a line."""
+        scaled = "" if self.scale == 1 else f"; edges moved by {self.scale:.3f} times of what was said"
+        return (
+            f"E from {self.E.min():.2g} to {self.E.max():.2g} of the background's; gamma"
+            f" {self.gamma:.2g}; {self.rounds} rounds, the last of which changed u by"
+            f" {100 * self.change:.2g} %{scaled}"
+        )
+
 
 def identify_stiffness(
     I1: Array,
