@@ -1,15 +1,17 @@
 """The other tools, as far as they are installed, obey our sign and order of components."""
 
 import runpy
+from typing import get_args
 
 import numpy as np
 import pytest
 from conftest import speckle
 
+from eofm.config import Tool
 from eofm.images import evaluate
 
 SHAPE = (90, 121)
-PEERS = ("tvl1", "ilk", "dis", "deepflow", "elastix", "demons")
+PEERS = get_args(Tool)[2:]
 
 
 @pytest.fixture(scope="module")
