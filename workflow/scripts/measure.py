@@ -1,6 +1,7 @@
 """Time and memory of runs in this process, on one thread.
 
 Not all tools can use several threads, and none has to: pairs of images are run side by side.
+Time is that of the processor, which other programs hardly change.
 """
 
 import resource
@@ -31,7 +32,7 @@ def measure(run: Callable[[], T], idle: float) -> tuple[T, dict[str, float]]:
     """
     times: list[float] = []
     while sum(times) < LONG and len(times) < OFTEN:
-        start = time.perf_counter()
+        start = time.process_time()
         result = run()
-        times.append(time.perf_counter() - start)
+        times.append(time.process_time() - start)
     return result, {"seconds": statistics.median(times), "peak_mb": peak() - idle}
