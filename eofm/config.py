@@ -27,6 +27,7 @@ from eofm.io import read_settings
 RESERVED = ("background", "5b", "6")
 
 Edge = Literal["top", "bottom", "left", "right"]
+Tool = Literal["eofm", "eofm_preset", "tvl1", "ilk", "dis", "deepflow", "elastix", "demons"]
 Positive = Annotated[float, Field(gt=0)]
 
 
@@ -385,6 +386,52 @@ class Figures(Section):
     dpi: int = Field(200, ge=50, le=1200, description="resolution of the PNG files, dots per inch")
 
 
+class Benchmark(Section):
+    """Time, memory and error of several tools and of the solver, by size."""
+
+    sizes: tuple[Annotated[int, Field(ge=48)], ...] = Field(
+        (256, 512, 1024, 2048), description="sides of the square images, px"
+    )
+    largest: dict[Tool, int] = Field(
+        {
+            "eofm": 2048,
+            "eofm_preset": 1024,
+            "tvl1": 1024,
+            "ilk": 2048,
+            "dis": 2048,
+            "deepflow": 2048,
+            "elastix": 1024,
+            "demons": 1024,
+        },
+        description="the tools, and the largest size for which each is run, px",
+    )
+    alphas: tuple[Positive, ...] = Field(
+        (0.01, 0.1, 1.0, 10.0, 100.0), description="weights of the smoothness term in the solver"
+    )
+    seed: int = Field(1, ge=0, description="seed of the images")
+
+
+class Ensemble(Section):
+    """Random phantoms on which all methods and tools are compared."""
+
+    count: int = Field(10, ge=1, description="number of phantoms")
+    two: int = Field(2, ge=0, description="how many of them have two inclusions instead of one")
+    speckle: int = Field(
+        3, ge=0, description="how many are dense speckle with 5 % noise instead of bubbles"
+    )
+    radius: Spread = Field((0.15, 0.3), description="range of the radii, relative to the height")
+    stiffness: Spread = Field((0.2, 12.0), description="range of the moduli, log-uniform")
+    compression: Spread = Field((3.0, 4.0), description="range of the bottom's motion, px")
+    poisson_ratio: float = Field(0.49, gt=0, lt=0.5, description="Poisson ratio of all materials")
+    seed: int = Field(2026, ge=0, description="seed of samples and images")
+
+    @model_validator(mode="after")
+    def _parts(self) -> Self:
+        if max(self.two, self.speckle) > self.count:
+            raise ValueError(f"count: of {self.count} phantoms, more are said to be special")
+        return self
+
+
 class Variant(Section):
     """One row of Table 1: what it changes in the estimation."""
 
@@ -405,6 +452,8 @@ class Config(Section):
     figures: Figures = Figures()
     preset: Estimation = Estimation()
     identification: Identification = Identification()
+    benchmark: Benchmark = Benchmark()
+    ensemble: Ensemble = Ensemble()
     samples: str = Field("config/samples.tsv", description="table of your own image pairs (TSV)")
 
     def variant(self, name: str) -> Estimation:

@@ -11,6 +11,9 @@ import pandas as pd
 import pytest
 from matplotlib.image import imread
 
+from eofm.io import read_field
+from eofm.metrics import relative_errors
+
 PARTS = ["Snakefile", "config", "workflow", "profiles", "eofm", "tests/small.yaml"]
 JOBS = 24
 
@@ -222,3 +225,47 @@ def test_virtual_oct(project):
     for number in (1, 2, 8):
         assert imread(folder / f"figures/figure{number}.png").std() > 0.05
         assert (folder / f"figures/figure{number}.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_benchmark(project):
+    result = project.run("--cores", "2", "benchmark")
+    assert result.returncode == 0, result.stderr
+    folder = project.root / "results/benchmark"
+    table = pd.read_csv(folder / "estimate.csv")
+    assert list(table.columns) == ["tool", "size", "seconds", "peak_mb", "mean_error_px"]
+    runs = [("eofm", 48), ("eofm", 64), ("eofm preset", 48), ("tvl1", 48), ("dis", 48)]
+    assert list(zip(table.tool, table["size"], strict=True)) == runs
+    # OpenCV need not be installed.
+    measured = table[table.tool != "dis"]
+    assert (measured.seconds > 0).all()
+    assert (measured.mean_error_px < 1).all()
+    solver = pd.read_csv(folder / "solver.csv")
+    columns = "size unknowns regulariser alpha image iterations seconds peak_mb"
+    assert list(solver.columns) == columns.split()
+    assert len(solver) == len(solver.drop_duplicates(columns.split()[:5])) == 16
+    assert (solver.unknowns == 2 * solver["size"] ** 2).all()
+    assert solver.iterations.between(2, 30).all()
+    assert imread(folder / "benchmark.png").std() > 0.05
+    assert (folder / "benchmark.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_ensemble(project):
+    result = project.run("--cores", "2", "ensemble")
+    assert result.returncode == 0, result.stderr
+    folder = project.root / "results/ensemble"
+    table = pd.read_csv(folder / "test6.csv")
+    ours, peers = ["test5", "preset_free", "preset", "test6"], ["elastix", "dis", "demons"]
+    columns = ["phantom", "background", *ours, "dice", *peers, "coverage"]
+    assert list(table.columns) == columns
+    assert table.phantom.tolist() == [1, 2]
+    assert table[ours].gt(0).all(axis=None)
+    assert table[ours].lt(100).all(axis=None)
+    assert table[["dice", "coverage"]].map(lambda value: 0 <= value <= 1).all(axis=None)
+    assert "dense speckle" in "".join(p.read_text() for p in project.root.glob("logs/ensemble/*"))
+    for number in (1, 2):
+        errors = relative_errors(
+            read_field(folder / f"{number}/test6.tif"), read_field(folder / f"{number}/true.tif")
+        )
+        assert errors["e_rel"] == pytest.approx(table.test6[number - 1], rel=1e-3)
+    assert imread(folder / "ensemble.png").std() > 0.05
+    assert (folder / "ensemble.pdf").read_bytes().startswith(b"%PDF")

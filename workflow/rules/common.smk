@@ -26,6 +26,8 @@ except InputError as error:
     sys.exit(f"{error}; every key is explained in config/README.md")
 
 TESTS = list(settings.tests)
+# Test 5's parameters for images of which nothing else is known: standard optical flow.
+IMAGES_ONLY = settings.estimation.model_copy(update={"zero_edges": (), "beta": 0.0})
 FIGURES = ["figure3", "figure4", "figure5", "figure6", "figure7", "test2", "test4"]
 
 PACKAGE = Path(os.path.relpath(Path(eofm.config.__file__).parent))

@@ -5,7 +5,7 @@ VIRTUAL = "results/virtual_oct"
 # Test 5's parameters, without conditions at edges that lie inside of the sample. Standard
 # optical flow differs in what it lacks: bubbles and a background.
 METHODS = {
-    "standard": settings.estimation.model_copy(update={"zero_edges": (), "beta": 0.0}),
+    "standard": IMAGES_ONLY,
     "eofm": settings.estimation.model_copy(update={"zero_edges": ()}),
 }
 

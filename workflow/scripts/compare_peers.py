@@ -6,20 +6,19 @@
 The frame is the image after compression; the one before is sampled from it, so that the
 true displacement is known. Brightness of the second frame falls to 0.7, both get 5 % of noise.
 Every tool sees the same locally normalised images. Settings: EOFM is run once, with those
-advised for such frames in config/README.md; every other tool with each of several
-settings, of which the best against the truth counts.
+advised for such frames in config/README.md; every other tool with that of peers.py, TV-L1 and
+DIS with each of several, of which the best against the truth counts.
 """
 
 import argparse
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import peers
 from numpy.typing import NDArray
 from scipy import ndimage
-from skimage.registration import optical_flow_tvl1
 
 import eofm
 from eofm import io
@@ -29,6 +28,10 @@ Array = NDArray[np.float64]
 
 WINDOW = 20.0
 SETTINGS = eofm.Estimation(alpha=3.0, beta=0.0, scales=5, warps=3, local_window=WINDOW)
+TRIED: dict[str, list[dict[str, float]]] = {
+    "tvl1": [{"attachment": a, "blur": b} for a in (3.0, 7.0, 15.0) for b in (0.0, 1.0, 2.0)],
+    "dis": [{"finest_scale": s, "blur": b} for s in (0, 1) for b in (0.0, 1.5, 3.0)],
+}
 
 
 def make_pair(frame: Array, motion: float, seed: int) -> tuple[Array, Array, Array]:
@@ -42,36 +45,6 @@ def make_pair(frame: Array, motion: float, seed: int) -> tuple[Array, Array, Arr
     noise = 0.05 * (np.percentile(frame, 99.5) - frame.min()) * rng.normal(size=(2, *frame.shape))
     I1 = evaluate(frame, np.stack([x1, x2]) + u)
     return I1 + noise[0], 0.7 * frame + noise[1], u
-
-
-def dis(I1: Array, I2: Array) -> dict[str, Callable[[], Array]]:
-    """OpenCV's DIS flow, three presets and three widths of a Gaussian before it."""
-    import cv2
-
-    def run(preset: int, blur: float) -> Array:
-        smooth = (ndimage.gaussian_filter(I, blur) for I in (I1, I2))
-        a, b = (np.clip(255 * I, 0, 255).astype(np.uint8) for I in smooth)
-        return np.moveaxis(cv2.DISOpticalFlow_create(preset).calc(a, b, None), -1, 0)
-
-    return {
-        f"preset {preset}, blur {blur:g} px": lambda p=preset, s=blur: run(p, s)
-        for preset in range(3)
-        for blur in (0.0, 1.5, 3.0)
-    }
-
-
-def tvl1(I1: Array, I2: Array) -> dict[str, Callable[[], Array]]:
-    """scikit-image's TV-L1, three attachments and two widths of a Gaussian before it."""
-
-    def run(attachment: float, blur: float) -> Array:
-        a, b = (ndimage.gaussian_filter(I, blur) for I in (I1, I2))
-        return optical_flow_tvl1(a, b, attachment=attachment)[::-1]
-
-    return {
-        f"attachment {attachment:g}, blur {blur:g} px": lambda a=attachment, s=blur: run(a, s)
-        for attachment in (3.0, 7.0, 15.0)
-        for blur in (0.0, 2.0)
-    }
 
 
 def main() -> None:
@@ -88,21 +61,24 @@ def main() -> None:
     brightness = ndimage.gaussian_filter(frame, 8)
     counted = inside(frame.shape, x) & (brightness > np.median(brightness))
     local = [normalise_locally(I, (WINDOW, WINDOW)) for I in normalise(I1, I2)]
-    tools = {
-        "eofm": {"as advised": lambda: eofm.estimate_displacement(I1, I2, SETTINGS)},
-        "TV-L1": tvl1(*local),
-        "DIS": dis(*local),
-    }
     rows = []
-    for tool, runs in tools.items():
-        for setting, run in runs.items():
+
+    def run(tool: str, setting: dict[str, float], part: slice) -> Array | None:
+        if tool == "eofm":
+            return eofm.estimate_displacement(I1[part, part], I2[part, part], SETTINGS)
+        return peers.estimate(tool, *(I[part, part] for I in local), **setting)
+
+    for tool in ("eofm", *peers.TOOLS):
+        # Importing and compiling are not counted.
+        if run(tool, {}, slice(128)) is None:
+            continue
+        for setting in TRIED.get(tool, [{}]):
             start = time.perf_counter()
-            found = run()
-            seconds = time.perf_counter() - start
-            error = float(np.hypot(*(found - u))[counted].mean())
-            rows.append(
-                {"tool": tool, "setting": setting, "mean_error_px": error, "seconds": seconds}
-            )
+            found = run(tool, setting, slice(None))
+            row = {"tool": tool, "setting": " ".join(f"{k}={v:g}" for k, v in setting.items())}
+            row["seconds"] = time.perf_counter() - start
+            row["mean_error_px"] = float(np.hypot(*(found - u))[counted].mean())
+            rows.append(row)
     table = pd.DataFrame(rows).sort_values("mean_error_px").groupby("tool", sort=False).head(1)
     print(table.to_string(index=False))
     if args.output:

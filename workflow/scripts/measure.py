@@ -1,0 +1,38 @@
+"""Time and memory of runs in this process, on one thread.
+
+Not all tools can use several threads, and none has to: pairs of images are run side by side.
+Time is that of the processor, which other programs hardly change.
+"""
+
+import resource
+import statistics
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+import numba
+
+numba.set_num_threads(1)
+
+T = TypeVar("T")
+
+# Runs are repeated until they have taken so many seconds together, or so often.
+LONG, OFTEN = 2.0, 5
+
+
+def peak() -> float:
+    """Largest memory that this process has taken so far, MB (Linux)."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def measure(run: Callable[[], T], idle: float) -> tuple[T, dict[str, float]]:
+    """What a run returns; its median time and how far its peak lies above ``idle``, MB.
+
+    Importing and compiling have to be over by then: run something small before.
+    """
+    times: list[float] = []
+    while sum(times) < LONG and len(times) < OFTEN:
+        start = time.process_time()
+        result = run()
+        times.append(time.process_time() - start)
+    return result, {"seconds": statistics.median(times), "peak_mb": peak() - idle}

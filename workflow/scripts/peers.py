@@ -1,0 +1,151 @@
+"""Other tools for the same task, each as a function of two images.
+
+The images have intensities of about [0, 1], as `eofm.images.normalise` returns them, and
+the result ``u``, shape (2, height, width) in px, satisfies ``I2(x + u(x)) = I1(x)`` with
+component 0 lateral and component 1 axial, as everywhere in eofm.
+
+Each tool has one setting for all pairs: of several, the one with the least errors over
+three pairs, dense speckle of 256 x 256 px with 5 % noise and a motion of 6 px, the paper's
+phantom, and dense speckle with 5 % noise that moves as that phantom does. Every tool runs
+on one thread: their times compare, and their results do not depend on the machine's cores.
+Libraries are imported where they are used, for most are optional: ``pip install '.[peers]'``.
+
+pyxel-dic is missing: it requires opencv-python, whose files overwrite those of the OpenCV
+with DeepFlow.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from eofm.images import resize, resize_field
+
+Array = NDArray[np.float64]
+
+
+def tvl1(I1: Array, I2: Array, attachment: float = 15.0, blur: float = 1.0) -> Array:
+    """scikit-image's TV-L1.
+
+    Its default attachment, and a Gaussian of 1 px before it: less attachment (5, 10) smooths
+    better over noise but loses the motion between sparse bubbles, and without the Gaussian
+    noise costs half as much again.
+    """
+    from skimage.registration import optical_flow_tvl1
+
+    smooth = (ndimage.gaussian_filter(I, blur) for I in (I1, I2))
+    return optical_flow_tvl1(*smooth, attachment=attachment, dtype=np.float64)[::-1]
+
+
+def ilk(I1: Array, I2: Array) -> Array:
+    """scikit-image's iterative Lucas-Kanade, with a Gaussian window of radius 10 px.
+
+    Smaller windows (5, 7, 8) often see no bubble, larger ones (15) blur the inclusion.
+    """
+    from skimage.registration import optical_flow_ilk
+
+    return optical_flow_ilk(I1, I2, radius=10, gaussian=True, dtype=np.float64)[::-1]
+
+
+def dis(I1: Array, I2: Array, finest_scale: int = 0, blur: float = 0.0) -> Array:
+    """OpenCV's dense inverse search, preset medium, up to the full resolution.
+
+    The preset's own finest scale is half of it, with errors up to 1.8 times as large. Denser
+    patches, more variational iterations and a Gaussian before it gain nothing.
+    """
+    import cv2
+
+    cv2.setNumThreads(1)
+    flow = cv2.DISOpticalFlow_create(cv2.DISOpticalFlow_PRESET_MEDIUM)
+    flow.setFinestScale(finest_scale)
+    smooth = (ndimage.gaussian_filter(I, blur) if blur else I for I in (I1, I2))
+    return _components(flow.calc(*map(_bytes, smooth), None))
+
+
+def deepflow(I1: Array, I2: Array) -> Array:
+    """OpenCV's DeepFlow (of opencv-contrib), which has no settings."""
+    import cv2
+    from cv2 import optflow
+
+    cv2.setNumThreads(1)
+    return _components(optflow.createOptFlow_DeepFlow().calc(_bytes(I1), _bytes(I2), None))
+
+
+def elastix(I1: Array, I2: Array) -> Array:
+    """B-splines of elastix, knots 16 px apart on the finest of 4 levels, mean squares.
+
+    Its adaptive stochastic descent on a sixteenth of the pixels, but at least 2048, as a
+    number that does not grow with the image would starve large ones. Knots 8 or 12 px apart
+    follow the noise, 20 px gain where there is no inclusion only; a cubic interpolator, more
+    samples or a bending energy gain nothing, L-BFGS on all pixels ends in false minima.
+    """
+    import itk
+
+    settings = itk.ParameterObject.New()
+    values = settings.GetDefaultParameterMap("bspline", 4)
+    values["Registration"] = ["MultiResolutionRegistration"]
+    values["Metric"] = ["AdvancedMeanSquares"]
+    values["FinalGridSpacingInPhysicalUnits"] = ["16"]
+    values["GridSpacingSchedule"] = ["8", "4", "2", "1"]
+    values["MaximumNumberOfIterations"] = ["500"]
+    values["NumberOfSpatialSamples"] = [str(max(2048, I1.size // 16))]
+    values["MaximumStepLength"] = ["0.5"]
+    settings.AddParameterMap(values)
+    fixed, moving = (itk.image_from_array(I.astype(np.float32)) for I in (I1, I2))
+    _, transform = itk.elastix_registration_method(
+        fixed, moving, parameter_object=settings, log_to_console=False, number_of_threads=1
+    )
+    return _components(np.asarray(itk.transformix_deformation_field(moving, transform)))
+
+
+def demons(I1: Array, I2: Array) -> Array:
+    """SimpleITK's fast symmetric demons on 4 levels, 100 iterations each.
+
+    Gaussians of 2.5 px smooth the field and of 2 px its update: 1 to 2 px follow the noise,
+    4 px lose the sparse bubbles. The diffeomorphic kind and more iterations gain nothing.
+    """
+    import SimpleITK as sitk  # noqa: N813 - its usual name
+
+    def image(values: Array, vector: bool = False) -> sitk.Image:
+        made = sitk.GetImageFromArray(values, isVector=vector)
+        made.SetSpacing([(n - 1) / (m - 1) for n, m in zip(I1.shape, shape, strict=True)][::-1])
+        return made
+
+    method = sitk.FastSymmetricForcesDemonsRegistrationFilter()
+    method.SetNumberOfThreads(1)
+    method.SetNumberOfIterations(100)
+    method.SetStandardDeviations(2.5)
+    method.SetSmoothUpdateField(True)
+    method.SetUpdateFieldStandardDeviations(2.0)
+    u = np.zeros((2, *I1.shape))
+    for level in (3, 2, 1, 0):
+        shape = tuple(max(8, -(-n // 2**level)) for n in I1.shape)
+        start = image(np.moveaxis(resize_field(u, shape), 0, -1), vector=True)
+        moved = method.Execute(image(resize(I1, shape)), image(resize(I2, shape)), start)
+        u = _components(sitk.GetArrayFromImage(moved))
+    return u
+
+
+TOOLS: dict[str, Callable[..., Array]] = {
+    tool.__name__: tool for tool in (tvl1, ilk, dis, deepflow, elastix, demons)
+}
+
+
+def estimate(tool: str, I1: Array, I2: Array, **setting: float) -> Array | None:
+    """Displacement by the tool of a name; None where its library is not installed."""
+    try:
+        return TOOLS[tool](I1, I2, **setting)
+    except ImportError as error:
+        print(f"{tool}: not installed ({error})")
+        return None
+
+
+def _bytes(I: Array) -> NDArray[np.uint8]:
+    """The image with 8 bits, which is all that OpenCV's flows take."""
+    return np.clip(255 * I, 0, 255).round().astype(np.uint8)
+
+
+def _components(u: NDArray) -> Array:
+    """A field with its components first instead of last."""
+    return np.moveaxis(u, -1, 0).astype(np.float64)
