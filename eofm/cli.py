@@ -149,8 +149,9 @@ def stiffness(args: argparse.Namespace) -> None:
           --height 108 --width 180 --compression 3.53
 
     The images show the whole sample, fixed on top and moved by a known compression at the
-    bottom, px. --deviation writes the standard deviations of u1, u2 (px) and log E. The
-    search ends when a step gains less than --least-gain, or after --iterations steps.
+    bottom, px. --deviation writes the standard deviation of u1 and u2, px, and
+    --stiffness-deviation that of log E. The search ends when a step gains less than
+    --least-gain, or after --iterations steps.
     """
     from eofm.stiffness import identify_stiffness
     from eofm.uncertainty import deviations
@@ -159,11 +160,14 @@ def stiffness(args: argparse.Namespace) -> None:
     I1, I2 = io.read_pair(args.reference, args.deformed)
     bubbles = args.bubbles and io.read_bubbles(args.bubbles)
     found = identify_stiffness(I1, I2, *settings, bubbles=bubbles, progress=True)
-    deviation = args.deviation and deviations(found)
+    wanted = args.deviation or args.stiffness_deviation
+    u_deviation, log_E_deviation = deviations(found) if wanted else (None, None)
     io.write_image(args.output, found.E)
     io.write_field(args.displacement, found.estimate.u)
-    if deviation:
-        io.write_deviations(args.deviation, *deviation)
+    if args.deviation:
+        io.write_field(args.deviation, u_deviation)
+    if args.stiffness_deviation:
+        io.write_image(args.stiffness_deviation, log_E_deviation)
     print(found.summary())
 
 
@@ -269,7 +273,8 @@ STEPS: dict[Callable[..., None], tuple[dict[str, str], dict[str, str], list[type
             "OUTPUT": "relative modulus to write (TIFF)",
             "DISPLACEMENT": "field to write (TIFF)",
             "bubbles": "table of tracked bubbles (CSV)",
-            "deviation": "standard deviations to write (TIFF)",
+            "deviation": "field of standard deviations to write (TIFF)",
+            "stiffness_deviation": "standard deviation of log E to write (TIFF)",
         },
         [Sample, Identification, Estimation],
     ),
@@ -283,7 +288,7 @@ STEPS: dict[Callable[..., None], tuple[dict[str, str], dict[str, str], list[type
 
 # Files that are written, so that their folders can be checked before any work.
 WRITTEN = {name for _, files, _ in STEPS.values() for name in files if name.isupper()}
-WRITTEN = WRITTEN - {"FOLDER"} | {"deviation"}
+WRITTEN = WRITTEN - {"FOLDER"} | {"deviation", "stiffness_deviation"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -333,7 +338,7 @@ def _parser() -> argparse.ArgumentParser:
         for name, help in positions.items():
             sub.add_argument(name, type=Path, help=help)
         for name, help in files.items():
-            option = f"--{name.lower()}"
+            option = f"--{name.lower().replace('_', '-')}"
             sub.add_argument(option, type=Path, metavar="FILE", required=name.isupper(), help=help)
         for section in sections:
             add_options(sub.add_argument_group(section.__name__.lower()), section)

@@ -233,7 +233,8 @@ class Estimation(Section):
     """The functional F, eq. (def_F), and the coarse-to-fine scheme."""
 
     method: Literal["preset", "paper"] = Field(
-        "preset", description="whose defaults the other keys have: the accurate preset, or the paper"
+        "preset",
+        description="whose defaults the other keys have: the accurate preset, or the paper",
     )
     smoothness: Literal["gradient", "bending"] = Field(
         "bending", description="R: squared first (the paper's) or second derivatives"

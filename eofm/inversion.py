@@ -77,7 +77,9 @@ class Problem:
         step, _ = cg(
             LinearOperator(shape, hessian),
             right,
-            M=LinearOperator(shape, lambda r: cho_solve_banded((factor, True), r, check_finite=False)),
+            M=LinearOperator(
+                shape, lambda r: cho_solve_banded((factor, True), r, check_finite=False)
+            ),
             rtol=1e-2,
             maxiter=60,
         )

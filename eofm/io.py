@@ -143,12 +143,6 @@ def write_pages(path: Path, pages: Array, labels: list[str]) -> None:
         )
 
 
-def write_deviations(path: Path, u: Array, log_E: Array) -> None:
-    """Write standard deviations of u1, u2 (px) and of log E as three pages."""
-    labels = ["sd of u1 [px]", "sd of u2 [px]", "sd of log E"]
-    write_pages(path, np.concatenate([u, log_E[None]]), labels)
-
-
 def write_json(path: Path, values: dict[str, Any]) -> None:
     """Write a summary, indented."""
     with replacing(path) as temporary:

@@ -79,7 +79,9 @@ class Stiffness:
 
     def summary(self) -> str:
         """What came out and why it stopped, in a line."""
-        scaled = "" if self.scale == 1 else f"; edges moved by {self.scale:.3f} times of what was said"
+        scaled = (
+            "" if self.scale == 1 else f"; edges moved by {self.scale:.3f} times of what was said"
+        )
         return (
             f"E from {self.E.min():.2g} to {self.E.max():.2g} of the background's; gamma"
             f" {self.gamma:.2g}; {self.rounds} rounds, the last of which changed u by"
@@ -233,9 +235,7 @@ def _check(I1: Array, I2: Array, sample: Sample, motion: dict[Edge, Array]) -> N
         )
 
 
-def _scale(
-    u: Array, u_bg: Array, edges: Iterable[Edge], settings: Identification
-) -> float:
+def _scale(u: Array, u_bg: Array, edges: Iterable[Edge], settings: Identification) -> float:
     """Factor of the edges' motion for which the images ask, 1 where it is near 1.
 
     ``u`` is an estimate that does not know the edges. The factor is the least squares fit of
@@ -246,7 +246,9 @@ def _scale(
     InputError
         If the images contradict the motion of an edge by more than ``settings.doubt``.
     """
-    seen, stated = (np.array([np.median(v[:, *EDGES[e]], axis=1) for e in edges]) for v in (u, u_bg))
+    seen, stated = (
+        np.array([np.median(v[:, *EDGES[e]], axis=1) for e in edges]) for v in (u, u_bg)
+    )
     a, b = seen - seen.mean(0), stated - stated.mean(0)
     scale = float((a * b).sum() / (b * b).sum())
     wrong = float(np.abs(seen - stated).max())

@@ -3,8 +3,7 @@
 
 rule accuracy:
     input:
-        "results/tests/5b/errors.csv",
-        "results/tests/6/errors.csv",
+        "results/table1.csv",
         expand(
             "results/figures/{name}.{kind}",
             name=["test5b", "test6", "stiffness"],
@@ -18,7 +17,7 @@ rule preset:
         deformed="results/phantom/deformed.tif",
         bubbles="results/bubbles.csv",
         background="results/phantom/background.tif",
-        code=code("preset"),
+        code=code("estimate"),
     output:
         displacement="results/tests/5b/displacement.tif",
         deviation="results/tests/5b/deviation.tif",
@@ -31,7 +30,7 @@ rule preset:
     params:
         options=options(settings.preset),
     shell:
-        "eofm preset {input.reference} {input.deformed} --bubbles {input.bubbles}"
+        "eofm estimate {input.reference} {input.deformed} --bubbles {input.bubbles}"
         " --background {input.background} --output {output.displacement}"
         " --deviation {output.deviation} {params.options} > {log} 2>&1"
 
@@ -46,6 +45,7 @@ rule stiffness:
         stiffness="results/tests/6/stiffness.tif",
         displacement="results/tests/6/displacement.tif",
         deviation="results/tests/6/deviation.tif",
+        stiffness_deviation="results/tests/6/stiffness_deviation.tif",
     log:
         "logs/stiffness.log",
     benchmark:
@@ -56,19 +56,20 @@ rule stiffness:
         # The inclusions are what is sought.
         options=options(
             settings.sample.model_copy(update={"inclusions": ()}),
-            settings.preset,
             settings.identification,
+            settings.preset,
         ),
     shell:
         "eofm stiffness {input.reference} {input.deformed} --bubbles {input.bubbles}"
         " --output {output.stiffness} --displacement {output.displacement}"
-        " --deviation {output.deviation} {params.options} > {log} 2>&1"
+        " --deviation {output.deviation} --stiffness-deviation {output.stiffness_deviation}"
+        " {params.options} > {log} 2>&1"
 
 
 rule figure_stiffness:
     input:
         stiffness="results/tests/6/stiffness.tif",
-        deviation="results/tests/6/deviation.tif",
+        deviation="results/tests/6/stiffness_deviation.tif",
         code=code("figures", "elasticity"),
     output:
         png=report(

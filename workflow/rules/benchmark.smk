@@ -51,7 +51,7 @@ rule benchmark_estimate:
         reference=f"{BENCHMARK}/dense-{{size}}/reference.tif",
         deformed=f"{BENCHMARK}/dense-{{size}}/deformed.tif",
         truth=f"{BENCHMARK}/dense-{{size}}/true.tif",
-        code=code("estimate", "preset"),
+        code=code("estimate"),
         tools=["workflow/scripts/peers.py", "workflow/scripts/measure.py"],
     output:
         f"{BENCHMARK}/estimate/{{tool}}-{{size}}.csv",
@@ -66,8 +66,8 @@ rule benchmark_estimate:
     resources:
         mem_mb=6000,
     params:
-        estimation=IMAGES_ONLY.model_dump(),
-        preset=settings.preset.model_copy(update={"zero_edges": ()}).model_dump(),
+        eofm=IMAGES_ONLY.model_dump(),
+        eofm_preset=settings.preset.model_copy(update={"zero_edges": ()}).model_dump(),
     script:
         "../scripts/benchmark_estimate.py"
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import pandas as pd
 
 import eofm.config
+from eofm.cli import ANALYSIS
 from eofm.errors import InputError
 
 # Jobs run with this interpreter's commands, whatever the PATH of the caller.
@@ -26,6 +27,9 @@ except InputError as error:
     sys.exit(f"{error}; every key is explained in config/README.md")
 
 TESTS = list(settings.tests)
+# Past the paper: the preset, and the preset with the identified sample's background.
+OURS = ["5b", "6"]
+ROWS = ["background", *TESTS, *OURS]
 # Test 5's parameters for images of which nothing else is known: standard optical flow.
 IMAGES_ONLY = settings.estimation.model_copy(update={"zero_edges": (), "beta": 0.0})
 FIGURES = ["figure3", "figure4", "figure5", "figure6", "figure7", "test2", "test4"]
@@ -66,11 +70,10 @@ def options(*sections):
 
 def read_samples(path):
     """Rows of the table of samples by name, as texts, without empty cells."""
-    sections = [eofm.config.Pair, eofm.config.Tracking, eofm.config.Estimation]
     known = [
         "sample",
         "settings",
-        *(name for section in sections for name in section.model_fields),
+        *(name for section in ANALYSIS for name in section.model_fields),
     ]
     try:
         # Only whole lines are comments: FILE#3 is page 3 of a file.
@@ -115,11 +118,7 @@ def sample_options(row):
         option = f"--{name.replace('_', '-')}"
         many = any(
             name in section.model_fields and section.takes_many(name)
-            for section in (
-                eofm.config.Pair,
-                eofm.config.Tracking,
-                eofm.config.Estimation,
-            )
+            for section in ANALYSIS
         )
         words += [option, *text.split()] if many else [f"{option}={text}"]
     return shlex.join(words)

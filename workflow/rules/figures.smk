@@ -65,6 +65,11 @@ rule figure_test:
         estimate=lambda wildcards: f"results/tests/{SHOWN[wildcards.figure]}/displacement.tif",
         truth="results/phantom/true.tif",
         table="results/table1.csv",
+        deviation=lambda wildcards: (
+            f"results/tests/{SHOWN[wildcards.figure]}/deviation.tif"
+            if SHOWN[wildcards.figure] in OURS
+            else []
+        ),
         code=code("figures"),
     output:
         png=report(

@@ -17,7 +17,7 @@ rule evaluate:
     benchmark:
         "benchmarks/evaluate/{test}.tsv"
     wildcard_constraints:
-        test="|".join(["background", *TESTS, "5b", "6"]),
+        test="|".join(ROWS),
     resources:
         mem_mb=300,
     shell:
@@ -26,7 +26,7 @@ rule evaluate:
 
 rule table1:
     input:
-        errors=expand("results/tests/{test}/errors.csv", test=["background", *TESTS]),
+        errors=expand("results/tests/{test}/errors.csv", test=ROWS),
     output:
         csv="results/table1.csv",
         tex="results/table1.tex",
@@ -41,5 +41,6 @@ rule table1:
         mem_mb=300,
     params:
         tests={name: settings.variant(name).model_dump() for name in TESTS},
+        ours=OURS,
     script:
         "../scripts/table1.py"

@@ -1,6 +1,5 @@
 """Time, memory and error of one tool on one pair of images, which is all that it is given."""
 
-from collections.abc import Callable
 from contextlib import redirect_stdout
 from functools import partial
 from pathlib import Path
@@ -18,13 +17,15 @@ from eofm.images import normalise
 SMALL = 64
 
 tool, size = snakemake.wildcards.tool, int(snakemake.wildcards.size)
-estimation = eofm.Estimation(**snakemake.params.estimation)
-preset = eofm.Preset(**snakemake.params.preset)
-OURS: dict[str, Callable] = {
-    "eofm": lambda I1, I2: eofm.estimate_displacement(I1, I2, estimation),
-    "eofm_preset": lambda I1, I2: eofm.estimate_preset(I1, I2, preset).u,
-}
-run = OURS.get(tool, partial(peers.estimate, tool))
+run = partial(peers.estimate, tool)
+if tool in ("eofm", "eofm_preset"):
+    settings = eofm.Estimation(**snakemake.params[tool])
+
+    def run(I1, I2):
+        """Displacement by EOFM."""
+        return eofm.estimate_displacement(I1, I2, settings).u
+
+
 truth = io.read_field(Path(snakemake.input.truth))
 I1, I2 = normalise(*io.read_pair(Path(snakemake.input.reference), Path(snakemake.input.deformed)))
 row = {"tool": tool.replace("_", " "), "size": size}

@@ -15,6 +15,7 @@ x = np.mgrid[: sample.height, : sample.width][::-1].astype(float)
 mu = lame(sample, x)[1]
 plain = lame(sample.model_copy(update={"inclusions": ()}), x)[1]
 E = io.read_image(Path(snakemake.input.stiffness))
-deviation = io.read_pages(Path(snakemake.input.deviation), 3)[2]
-figure = moduli(mu / plain, E, deviation, settings)
+deviation = io.read_image(Path(snakemake.input.deviation))
+truth = mu / plain
+figure = moduli({"true": truth, "identified": E}, deviation, settings, outline=truth)
 save(figure, [Path(snakemake.output.png), Path(snakemake.output.pdf)], settings)

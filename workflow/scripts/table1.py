@@ -42,6 +42,9 @@ def for_people(table: pd.DataFrame) -> pd.DataFrame:
     }
     heads |= {name: f"paper: {heads[name.removeprefix('paper_')]}" for name in PAPER}
     shown = table.rename(columns=heads)
+    shown["Test"] = [
+        f"{name} (ours)" if name in snakemake.params.ours else name for name in table.test
+    ]
     weights = [heads["alpha"], heads["beta"]]
     shown[weights] = shown[weights].map("{:g}".format, na_action="ignore")
     return shown
