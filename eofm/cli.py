@@ -156,18 +156,18 @@ def stiffness(args: argparse.Namespace) -> None:
     from eofm.stiffness import identify_stiffness
     from eofm.uncertainty import deviations
 
-    settings = [settings_of(section, args) for section in (Sample, Identification, Estimation)]
+    sample, settings = settings_of(Sample, args), settings_of(Identification, args)
+    estimation = settings_of(Estimation, args)
     I1, I2 = io.read_pair(args.reference, args.deformed)
     bubbles = args.bubbles and io.read_bubbles(args.bubbles)
-    found = identify_stiffness(I1, I2, *settings, bubbles=bubbles, progress=True)
-    wanted = args.deviation or args.stiffness_deviation
-    u_deviation, log_E_deviation = deviations(found) if wanted else (None, None)
+    found = identify_stiffness(I1, I2, sample, settings, estimation, bubbles=bubbles, progress=True)
+    bars = deviations(found) if args.deviation or args.stiffness_deviation else None
     io.write_image(args.output, found.E)
     io.write_field(args.displacement, found.estimate.u)
-    if args.deviation:
-        io.write_field(args.deviation, u_deviation)
-    if args.stiffness_deviation:
-        io.write_image(args.stiffness_deviation, log_E_deviation)
+    if bars and args.deviation:
+        io.write_field(args.deviation, bars[0])
+    if bars and args.stiffness_deviation:
+        io.write_image(args.stiffness_deviation, bars[1])
     print(found.summary())
 
 

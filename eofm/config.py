@@ -234,7 +234,7 @@ class Estimation(Section):
 
     method: Literal["preset", "paper"] = Field(
         "preset",
-        description="whose defaults the other keys have: the accurate preset, or the paper",
+        description="whose defaults the other keys have: the accurate preset's, or the paper's",
     )
     smoothness: Literal["gradient", "bending"] = Field(
         "bending", description="R: squared first (the paper's) or second derivatives"

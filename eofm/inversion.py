@@ -67,7 +67,7 @@ class Problem:
     def solve(self, m: Array, state: State, gamma: float, damping: float, right: Array) -> Array:
         """Gauss-Newton system, by conjugate gradients with the damped prior's inverse."""
         damped = gamma * self.prior(m) + damping * sp.eye_array(m.size)
-        factor = cholesky_banded(band(damped), lower=True, check_finite=False)
+        factor = cholesky_banded(band(damped), lower=True, check_finite=False), True
 
         def hessian(d: Array) -> Array:
             du = state.derivative(slope(m) * d.reshape(m.shape))
@@ -77,9 +77,7 @@ class Problem:
         step, _ = cg(
             LinearOperator(shape, hessian),
             right,
-            M=LinearOperator(
-                shape, lambda r: cho_solve_banded((factor, True), r, check_finite=False)
-            ),
+            M=LinearOperator(shape, lambda r: cho_solve_banded(factor, r, check_finite=False)),
             rtol=1e-2,
             maxiter=60,
         )

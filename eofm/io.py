@@ -71,14 +71,6 @@ def read_stack(path: Path) -> Array:
     return _finite(path, frames)
 
 
-def read_pages(path: Path, count: int) -> Array:
-    """Read a file of so many pages, shape (count, height, width)."""
-    pages = _read_array(path)
-    if pages.ndim != 3 or len(pages) != count:
-        raise InputError(f"{path}: wanted {count} pages, found shape {pages.shape}")
-    return _finite(path, pages)
-
-
 def read_pair(reference: Path, deformed: Path) -> tuple[Array, Array]:
     """Read the images before and after compression, which must have one size.
 

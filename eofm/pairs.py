@@ -37,7 +37,7 @@ class Step:
     inconsistency : ndarray, shape (height, width)
         Forward-backward error.
     stiffness : Stiffness or None
-    log_E_deviation : ndarray, shape (height, width), or None
+    modulus_deviation : ndarray, shape (height, width), or None
         Standard deviation of the logarithm of its modulus.
     """
 
@@ -47,7 +47,7 @@ class Step:
     bubbles: pd.DataFrame
     inconsistency: Array
     stiffness: Stiffness | None
-    log_E_deviation: Array | None
+    modulus_deviation: Array | None
 
 
 @dataclass(frozen=True)
@@ -174,14 +174,14 @@ def _step(
     if bubbles.empty:
         raise InputError("mask: leaves no bubble; make it smaller, or lower the threshold")
     known: dict[str, Any] = {"bubbles": bubbles, "edges": scene.edges, "dead": scene.dead}
-    stiffness, deviation, log_E_deviation = None, None, None
+    stiffness, deviation, modulus_deviation = None, None, None
     if identification is not None:
         stiffness = identify_stiffness(
             I1, I2, scene.sample, identification, estimation, **known, **shared
         )
         estimate = stiffness.estimate
         if pair.error_bars:
-            deviation, log_E_deviation = deviations(stiffness, samples=pair.error_bars)
+            deviation, modulus_deviation = deviations(stiffness, samples=pair.error_bars)
     else:
         estimate = estimate_displacement(
             I1, I2, estimation, background=scene.background, **known, **shared
@@ -211,7 +211,7 @@ def _step(
         bubbles,
         inconsistency(estimate.u, w),
         stiffness,
-        log_E_deviation,
+        modulus_deviation,
     )
 
 

@@ -37,8 +37,9 @@ def data_share(
 
     ``l / (l + k)``, where l is the smaller eigenvalue of the mean of ``grad I grad I^T`` over a
     Gaussian of standard deviation ``width``, and k is what the smoothness term holds a bump
-    of that width with: ``alpha / width^2``, or ``2 alpha / width^4`` of the bending energy. Near 1 the images decide, near 0
-    the regulariser and what is known of edges, bubbles and background.
+    of that width with: ``alpha / width^2``, or ``2 alpha / width^4`` of the bending energy.
+    Near 1 the images decide, near 0 the regulariser and what is known of edges, bubbles and
+    background.
     """
     g1, g2 = np.where(dead, 0, gradient(I1, spacing))
     widths = [width / h for h in spacing[::-1]]

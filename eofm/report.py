@@ -35,8 +35,8 @@ def write_results(results: Analysis, pair: Pair, folder: Path) -> None:
     first = results.steps[0]
     if first.stiffness is not None:
         io.write_image(folder / "stiffness.tif", first.stiffness.E)
-    if first.log_E_deviation is not None:
-        io.write_image(folder / "stiffness_deviation.tif", first.log_E_deviation)
+    if first.modulus_deviation is not None:
+        io.write_image(folder / "stiffness_deviation.tif", first.modulus_deviation)
     if len(results.steps) > 1:
         increments = np.concatenate([step.estimate.u for step in results.steps])
         labels = [f"step {k}: u{i} [px]" for k in range(len(results.steps)) for i in (1, 2)]
@@ -62,6 +62,6 @@ def draw(results: Analysis, settings: Figures) -> dict[str, Figure]:
     }
     if step.stiffness is not None:
         drawn["stiffness"] = figures.moduli(
-            {"identified": step.stiffness.E}, step.log_E_deviation, settings
+            {"identified": step.stiffness.E}, step.modulus_deviation, settings
         )
     return drawn

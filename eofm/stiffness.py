@@ -163,7 +163,7 @@ def identify_stiffness(
         found = _identify(plain, motion, u_bg, estimate, settings, pixel_size, found, report)
         last = estimate.u
         estimate = estimate_displacement(I1, I2, estimation, background=found.elastic, **known)
-        change = float(np.linalg.norm(estimate.u - last) / max(np.linalg.norm(last), 1e-300))
+        change = float(np.linalg.norm(estimate.u - last) / np.linalg.norm(last))
         found = replace(found, estimate=estimate, scale=scale, rounds=rounds, change=change)
         if change <= settings.settled:
             break
