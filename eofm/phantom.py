@@ -72,14 +72,15 @@ def scatter(shape: tuple[int, ...], count: int, distance: float, rng: np.random.
     """
     upper = np.array(shape[::-1]) - 1.0
     points = np.empty((count, 2))
-    # Points by squares as wide as the distance: only those of nine squares can be too near.
+    # Points by squares as wide as the distance: only those of nine can be too near.
+    side = max(distance, 1.0)
     squares: defaultdict[tuple[int, int], list[Array]] = defaultdict(list)
     for i in range(count):
         for _ in range(ATTEMPTS):
             points[i] = rng.uniform(0, upper)
             if distance == 0:
                 break
-            column, row = (int(c) for c in points[i] // distance)
+            column, row = (int(c) for c in points[i] // side)
             near = [
                 p
                 for square in product(range(column - 1, column + 2), range(row - 1, row + 2))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eofm.config import Forward, Inclusion, Phantom, Sample
-from eofm.elasticity import background_field, displacement, true_field
+from eofm.elasticity import displacement, true_field
 from eofm.errors import InputError
 from eofm.functional import Pointwise
 from eofm.inversion import Identification, Problem
