@@ -11,15 +11,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
-from scipy.sparse.csgraph import min_weight_full_bipartite_matching
+from scipy.sparse.csgraph import connected_components, min_weight_full_bipartite_matching
 from scipy.spatial import KDTree
-from skimage.measure import regionprops_table
 from skimage.morphology import local_maxima
 from skimage.segmentation import watershed
 
 from eofm.config import Tracking
 from eofm.errors import InputError
-from eofm.images import evaluate, evaluate_field, gradient, inside, normalise
+from eofm.images import ORDER, evaluate_field, gradient, inside, normalise
 
 Array = NDArray[np.float64]
 
@@ -29,6 +28,14 @@ AGREEMENT_FLOOR = 0.15
 
 # The cost of leaving a bubble unmatched, in units where the gate's distance costs 1.
 UNMATCHED = 1.0
+
+# Bubbles that are assigned at once (the time of an assignment grows with their square), and
+# samples of windows that are registered at once (their memory).
+ASSIGNED = 500
+SAMPLES = 2**17
+
+# Samples by which an image is continued beyond its border before it becomes a spline.
+PAD = 12
 
 
 def track(
@@ -122,12 +129,13 @@ def detect(I: Array, settings: Tracking = Tracking()) -> pd.DataFrame:
     # Plateaus, as of saturated bubbles, count as one peak each.
     peaks, _ = ndimage.label(local_maxima(smooth) & (smooth > level), np.ones((3, 3)))
     regions = watershed(-smooth, peaks, mask=smooth > level)
-    table = pd.DataFrame(
-        regionprops_table(
-            regions, smooth - level, properties=("centroid_weighted", "area", "intensity_max")
-        )
-    )
-    table.columns = pd.Index(["x2", "x1", "area", "brightness"])
+    seen = regions > 0
+    label, height = regions[seen] - 1, (smooth - level)[seen]
+    area, total = np.bincount(label).astype(float), np.bincount(label, height)
+    x2, x1 = (np.bincount(label, height * x) / total for x in np.nonzero(seen))
+    brightness = np.zeros(len(area))
+    np.maximum.at(brightness, label, height)
+    table = pd.DataFrame({"x2": x2, "x1": x1, "area": area, "brightness": brightness})
     kept = table.area.between(settings.min_area, settings.max_area)
     return table[kept].reset_index(drop=True)
 
@@ -161,9 +169,17 @@ def match(
         ),
         shape=(len(before), len(after) + len(alone)),
     )
-    rows, columns = min_weight_full_bipartite_matching(graph)
+    # Clusters of bubbles that share no candidates are assigned apart.
+    size = len(before) + len(after)
+    links = sparse.coo_array((np.ones(len(i)), (i, len(before) + j)), shape=(size, size))
+    cluster = connected_components(links, directed=False)[1][: len(before)]
+    order = np.argsort(cluster, kind="stable")
+    batch = np.searchsorted(cluster[order], cluster[order]) // ASSIGNED
+    batches = np.split(order, np.flatnonzero(np.diff(batch)) + 1)
+    rows, columns = np.concatenate([_assign(graph, some) for some in batches], axis=1)
+    columns = columns[np.argsort(rows)]
     matched = columns < len(after)
-    return rows[matched], columns[matched]
+    return alone[matched], columns[matched]
 
 
 def register(
@@ -183,23 +199,28 @@ def register(
     """
     reach = int(np.ceil(3 * window))
     offsets = np.mgrid[-reach : reach + 1, -reach : reach + 1][::-1].reshape(2, 1, -1)
-    y = x[:, :, None] + offsets
-    weight = np.exp(-(offsets**2).sum(0) / (2 * window**2)) * inside(I1.shape, y)
-    reference = evaluate(I1, y)
-    grad_I = gradient(I2)
-    for _ in range(iterations):
-        moved = y + motion[:, :, None]
+    at_once = max(1, SAMPLES // offsets[0].size)
+    splines = [_spline(I) for I in (I1, I2, *gradient(I2))]
+    motion, quality = motion.copy(), np.empty(x.shape[1])
+    for start in range(0, x.shape[1], at_once):
+        some = np.s_[start : start + at_once]
+        y = x[:, some, None] + offsets
+        weight = np.exp(-(offsets**2).sum(0) / (2 * window**2)) * inside(I1.shape, y)
+        reference = _values(splines[0], y)
+        for _ in range(iterations):
+            moved = y + motion[:, some, None]
+            w = weight * inside(I2.shape, moved)
+            difference = _values(splines[1], moved) - reference
+            g = np.stack([_values(c, moved) for c in splines[2:]])
+            A = np.einsum("ikp,jkp,kp->kij", g, g, w)
+            # Windows with one direction of contrast only stay where they are in the other.
+            A += (1e-3 * np.trace(A, axis1=1, axis2=2) + 1e-12)[:, None, None] * np.eye(2)
+            step = -np.linalg.solve(A, np.einsum("ikp,kp->ki", g, w * difference)[..., None])
+            motion[:, some] += np.clip(step[..., 0].T, -0.5, 0.5)
+        moved = y + motion[:, some, None]
         w = weight * inside(I2.shape, moved)
-        difference = evaluate(I2, moved) - reference
-        g = evaluate_field(grad_I, moved)
-        A = np.einsum("ikp,jkp,kp->kij", g, g, w)
-        # Windows with one direction of contrast only stay where they are in the other.
-        A += (1e-3 * np.trace(A, axis1=1, axis2=2) + 1e-12)[:, None, None] * np.eye(2)
-        step = -np.linalg.solve(A, np.einsum("ikp,kp->ki", g, w * difference)[..., None])
-        motion = motion + np.clip(step[..., 0].T, -0.5, 0.5)
-    moved = y + motion[:, :, None]
-    w = weight * inside(I2.shape, moved)
-    return motion, _correlation(reference, evaluate(I2, moved), w)
+        quality[some] = _correlation(reference, _values(splines[1], moved), w)
+    return motion, quality
 
 
 def agree(x: Array, motion: Array, settings: Tracking) -> NDArray[np.bool_]:
@@ -216,6 +237,28 @@ def agree(x: Array, motion: Array, settings: Tracking) -> NDArray[np.bool_]:
     spread = np.median(np.abs(others - median[..., None]), axis=2)
     deviation = np.abs(motion - median) / (spread + AGREEMENT_FLOOR)
     return deviation.max(0) <= settings.tolerance
+
+
+def _assign(
+    graph: sparse.csr_array, rows: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Columns of least total cost for some rows of a sparse matrix of costs."""
+    part = graph[rows]
+    columns, index = np.unique(part.indices, return_inverse=True)
+    part = sparse.csr_array((part.data, index, part.indptr), shape=(len(rows), len(columns)))
+    i, j = min_weight_full_bipartite_matching(part)
+    return rows[i], columns[j]
+
+
+def _spline(I: Array) -> Array:
+    """Coefficients of the spline that `eofm.images.evaluate` makes anew in each call."""
+    return ndimage.spline_filter(np.pad(I, PAD, mode="edge"), ORDER, mode="nearest")
+
+
+def _values(spline: Array, x: Array) -> Array:
+    return ndimage.map_coordinates(
+        spline, x[::-1] + PAD, order=ORDER, mode="nearest", prefilter=False
+    )
 
 
 def _correlation(p: Array, q: Array, w: Array) -> Array:

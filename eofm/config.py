@@ -137,10 +137,12 @@ class Sample(Section):
 
 
 class Forward(Section):
-    """Meshes of the forward model."""
+    """Accuracy of the forward model."""
 
     true_cell: Positive = Field(1.0, description="side of the elements for the true field, px")
-    background_cell: Positive = Field(4.0, description="the same for the background field, px")
+    background_error: Positive = Field(
+        1e-3, description="largest estimated error of the background field, px"
+    )
 
 
 class Phantom(Section):

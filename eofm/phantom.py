@@ -4,10 +4,13 @@ The image after compression is rendered from moved bubbles, never interpolated f
 image before: that would be an inverse crime.
 """
 
+import math
+from collections import defaultdict
+from itertools import product
+
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.spatial.distance import cdist
 
 from eofm.config import Phantom
 from eofm.errors import InputError
@@ -69,10 +72,22 @@ def scatter(shape: tuple[int, ...], count: int, distance: float, rng: np.random.
     """
     upper = np.array(shape[::-1]) - 1.0
     points = np.empty((count, 2))
+    # Points by squares as wide as the distance: only those of nine can be too near.
+    side = max(distance, 1.0)
+    squares: defaultdict[tuple[int, int], list[Array]] = defaultdict(list)
     for i in range(count):
         for _ in range(ATTEMPTS):
             points[i] = rng.uniform(0, upper)
-            if distance == 0 or i == 0 or cdist(points[i : i + 1], points[:i]).min() >= distance:
+            if distance == 0:
+                break
+            column, row = (int(c) for c in points[i] // side)
+            near = [
+                p
+                for square in product(range(column - 1, column + 2), range(row - 1, row + 2))
+                for p in squares.get(square, ())
+            ]
+            if all(math.dist(points[i], p) >= distance for p in near):
+                squares[column, row].append(points[i])
                 break
         else:
             raise InputError(

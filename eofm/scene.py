@@ -12,12 +12,8 @@ from eofm.config import Edge, Pair, Sample
 from eofm.edges import EdgeState, parse_edge
 from eofm.elasticity import deform
 from eofm.errors import InputError
-from eofm.images import unit_spacing
 
 Array = NDArray[np.float64]
-
-# Elements along the longer side of the sample: the background is smooth.
-ELEMENTS = 60
 
 
 @dataclass(frozen=True)
@@ -169,8 +165,6 @@ def _background(
         raise InputError(
             "background: an elastic one wants an edge that is fixed or moved; say so of one"
         )
-    h1, h2 = unit_spacing(pair.pixel_size)
-    longer = max(sample.width * h1, sample.height * h2)
-    u = deform(sample, motion, cell=max(2.0, longer / ELEMENTS), pixel_size=pair.pixel_size)
+    u = deform(sample, motion, pixel_size=pair.pixel_size)
     x1, x2 = offset
     return u[:, x2 : x2 + shape[0], x1 : x1 + shape[1]]

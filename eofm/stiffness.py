@@ -20,7 +20,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from eofm.config import Edge, Estimation, Forward, Identification, Sample
+from eofm.config import Edge, Estimation, Identification, Sample
 from eofm.elasticity import deform
 from eofm.errors import InputError
 from eofm.estimate import Estimate, estimate_displacement
@@ -142,9 +142,8 @@ def identify_stiffness(
     motion = _motion(sample, edges)
     _check(I1, I2, sample, motion)
     known: dict[str, Any] = {"bubbles": bubbles, "dead": dead, "pixel_size": pixel_size}
-    plain = sample.model_copy(update={"inclusions": ()})
-    cell, slip = Forward().background_cell, sample.contact == "slip"
-    u_bg = deform(plain, motion, cell=cell, pixel_size=pixel_size, slip=slip)
+    slip = sample.contact == "slip"
+    u_bg = deform(sample, motion, pixel_size=pixel_size, slip=slip)
     bar = tqdm(desc="stiffness", unit="step", disable=None if progress else True)
 
     def report(gamma: float, step: int, gain: float) -> None:
@@ -160,7 +159,7 @@ def identify_stiffness(
     estimate = estimate_displacement(I1, I2, estimation, background=u_bg, **known)
     found: Stiffness | None = None
     for rounds in range(1, settings.rounds + 1):
-        found = _identify(plain, motion, u_bg, estimate, settings, pixel_size, found, report)
+        found = _identify(sample, motion, u_bg, estimate, settings, pixel_size, found, report)
         last = estimate.u
         estimate = estimate_displacement(I1, I2, estimation, background=found.elastic, **known)
         change = float(np.linalg.norm(estimate.u - last) / np.linalg.norm(last))

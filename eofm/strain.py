@@ -38,7 +38,8 @@ def strain(u: Array, pixel_size: tuple[float, float], window: float) -> Array:
     Notes
     -----
     Each derivative is the slope of the line that fits the displacement best around a
-    pixel. Up to the edges it is exact for displacements that are linear.
+    pixel. Up to the edges it is exact for displacements that are linear. Gaussian weights
+    are products, so the fit is a mean across the line and a slope along it.
     """
     widths = [window / p for p in pixel_size]
     if min(widths) < 0.5:
@@ -48,23 +49,32 @@ def strain(u: Array, pixel_size: tuple[float, float], window: float) -> Array:
         )
 
     def derivative(i: int, j: int) -> Array:
-        return _slope(u[i] * pixel_size[i], 1 - j, widths) / pixel_size[j]
+        across = _mean(u[i], j, widths[1 - j])
+        return _slope(across, 1 - j, widths[j]) * (pixel_size[i] / pixel_size[j])
 
     shear = (derivative(1, 0) + derivative(0, 1)) / 2
     return np.stack([derivative(0, 0), derivative(1, 1), shear])
 
 
-def _slope(f: Array, axis: int, widths: list[float]) -> Array:
-    """Slope along an axis per sample, from moments under a Gaussian that ends at the border."""
+def _sum(f: Array, axis: int, width: float) -> Array:
+    """Sum along an axis under a Gaussian that ends at the border."""
+    return ndimage.gaussian_filter1d(f, width, axis, mode="constant")
 
-    def moment(g: Array) -> Array:
-        return ndimage.gaussian_filter(g, widths[::-1], mode="constant")
 
-    shape = [1, 1]
-    shape[axis] = f.shape[axis]
+def _along(values: Array, axis: int) -> Array:
+    """Values along an axis of an image."""
+    return np.expand_dims(values, 1 - axis)
+
+
+def _mean(f: Array, axis: int, width: float) -> Array:
+    """Mean along an axis per sample."""
+    return _sum(f, axis, width) / _along(_sum(np.ones(f.shape[axis]), 0, width), axis)
+
+
+def _slope(f: Array, axis: int, width: float) -> Array:
+    """Slope along an axis per sample, from its moments."""
     # Centred positions keep the differences of moments well conditioned.
-    x = np.broadcast_to(np.linspace(-1, 1, f.shape[axis]).reshape(shape), f.shape)
-    weight, mean_x, mean_f = moment(np.ones_like(f)), moment(x), moment(f)
-    covariance = moment(x * f) * weight - mean_x * mean_f
-    variance = moment(x * x) * weight - mean_x**2
-    return covariance / variance * 2 / (f.shape[axis] - 1)
+    x = np.linspace(-1, 1, f.shape[axis])
+    weight, first, second = (_along(_sum(x**k, 0, width), axis) for k in (0, 1, 2))
+    covariance = weight * _sum(_along(x, axis) * f, axis, width) - first * _sum(f, axis, width)
+    return covariance / (weight * second - first**2) * 2 / (f.shape[axis] - 1)

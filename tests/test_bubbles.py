@@ -2,12 +2,15 @@ import numpy as np
 import pandas as pd
 import pytest
 from conftest import speckle
+from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
 
 import eofm
-from eofm.bubbles import agree, detect, match
+from eofm import bubbles as bubbles_module
+from eofm.bubbles import UNMATCHED, agree, detect, match, register
 from eofm.config import load
-from eofm.images import evaluate_field
+from eofm.images import evaluate, evaluate_field
 
 
 @pytest.fixture(scope="module")
@@ -104,6 +107,59 @@ def test_matching_prefers_what_looks_alike():
     after = frame([(11.0, 10), (9, 10)], brightness=[0.2, 1.0])
     _, j = match(before, after, np.zeros((2, 1)), gate=3.0)
     assert j.tolist() == [1]
+
+
+@pytest.mark.parametrize("assigned", [1, 7, 10**6])
+def test_matches_are_those_of_the_full_assignment(monkeypatch, rng, assigned):
+    """Clusters assigned apart, a few or all at once, are a dense problem's optimum."""
+    monkeypatch.setattr(bubbles_module, "ASSIGNED", assigned)
+    gate, n = 3.0, 150
+    # From far apart at the left to one cluster of many at the right.
+    points = rng.uniform(0, 1, (n, 2)) ** [0.4, 1] * [60, 60]
+    before = frame(points, rng.uniform(0.1, 1, n), rng.uniform(5, 50, n))
+    moved = np.concatenate([points[20:] + rng.normal(0, 1, (n - 20, 2)), [(-50.0, 0)]])
+    after = frame(moved, rng.uniform(0.1, 1, n - 19), rng.uniform(5, 50, n - 19))
+    distance = cdist(points, moved)
+    brightness, area = (
+        np.abs(np.log(before[[k]].to_numpy() / after[k].to_numpy())) for k in ("brightness", "area")
+    )
+    cost = (distance / gate) ** 2 + 0.5 * brightness + 0.25 * area
+    cost = np.where(distance <= gate, cost, 1e3)
+    rows, columns = linear_sum_assignment(np.hstack([cost, np.full((n, n), UNMATCHED)]))
+    i, j = match(before, after, np.zeros((2, n)), gate)
+    matched = columns < len(after)
+    np.testing.assert_array_equal(i, rows[matched])
+    np.testing.assert_array_equal(j, columns[matched])
+    assert 50 < len(i) < n - 20
+
+
+def test_a_bubble_is_registered_the_same_alone_and_among_others(monkeypatch, rng):
+    I1, I2 = speckle((50, 67), rng), speckle((50, 67), rng)
+    I2 = 0.2 * I2 + 0.8 * np.roll(I1, 1, axis=1)
+    x, start = rng.uniform([[0], [0]], [[66], [49]], (2, 30)), rng.normal(0.5, 0.5, (2, 30))
+    motion, quality = register(I1, I2, x, start, 2.0)
+    monkeypatch.setattr(bubbles_module, "SAMPLES", 500)
+    few = register(I1, I2, x, start, 2.0)
+    np.testing.assert_allclose(few[0], motion, atol=1e-12)
+    np.testing.assert_allclose(few[1], quality, atol=1e-12)
+
+
+def test_spline_is_that_of_an_image_evaluated(rng):
+    I, x = rng.uniform(size=(13, 18)), rng.uniform(-3, 20, (2, 200))
+    spline = bubbles_module._spline(I)
+    np.testing.assert_allclose(bubbles_module._values(spline, x), evaluate(I, x), atol=1e-12)
+
+
+def test_touching_bubbles_are_told_apart_and_weighed():
+    x2, x1 = np.mgrid[:30, :40]
+    blobs = [np.exp(-((x1 - c) ** 2 + (x2 - 14) ** 2) / 8) for c in (15, 22)]
+    I = blobs[0] + 0.6 * blobs[1]
+    table = detect(I, eofm.Tracking(smoothing=0.0, threshold=0.05)).sort_values("x1")
+    assert len(table) == 2
+    level = np.percentile(I, 0.5) + 0.05 * np.diff(np.percentile(I, [0.5, 99.5]))
+    np.testing.assert_allclose(table.brightness, [I[14, 15], I[14, 22]] - level, atol=1e-12)
+    assert table.area.sum() == np.count_nonzero(level < I)
+    np.testing.assert_allclose(table.x2, 14, atol=1e-9)
 
 
 def test_a_motion_against_its_neighbours_is_dropped(rng):

@@ -3,8 +3,19 @@ import pytest
 from skfem import Basis, ElementQuad2, ElementVector, LinearForm, MeshQuad, condense, solve
 from skfem.helpers import dot
 
-from eofm.config import Inclusion, Sample
-from eofm.elasticity import displacement, factorise, lame, make_basis, stiffness_matrix
+from eofm import elasticity
+from eofm.config import Forward, Inclusion, Sample
+from eofm.elasticity import (
+    background_field,
+    deform,
+    displacement,
+    factorise,
+    graded_basis,
+    lame,
+    make_basis,
+    stiffness_matrix,
+)
+from eofm.images import unit_spacing
 
 
 def manufactured(n, nu):
@@ -111,3 +122,70 @@ def test_meshes_agree(sample, truth):
     plain = sample.model_copy(update={"inclusions": ()})
     fine = displacement(plain, 1.0)
     assert np.linalg.norm(displacement(plain, 4.0) - fine) < 0.005 * np.linalg.norm(fine)
+
+
+def pressed(c):
+    return {"top": np.zeros((2, 1)), "bottom": np.array([[0.0], [-c]])}
+
+
+@pytest.mark.parametrize(
+    ("height", "width", "nu", "pixel_size"),
+    [
+        (108, 180, 0.492, (1.0, 1.0)),
+        (61, 90, 0.48, (2.0, 1.0)),
+        (90, 33, 0.3, (1.0, 3.0)),
+        (401, 300, 0.4999, (1.0, 1.0)),
+        (700, 700, 0.45, (1.0, 1.0)),
+    ],
+)
+@pytest.mark.parametrize("error", [1e-2, 1e-3])
+def test_error_of_a_homogeneous_field_is_as_wanted(height, width, nu, pixel_size, error):
+    """Against a mesh with several times the cells of the one that was accepted."""
+    sample = Sample(height=height, width=width, poisson_ratio=nu, compression=0.0)
+    motion = pressed(0.033 * height)
+    u = deform(sample, motion, error=error, pixel_size=pixel_size)
+    spacing = unit_spacing(pixel_size)
+    basis = graded_basis(sample, 100, spacing)
+    fine = elasticity._solve(sample, motion, basis, False, spacing)
+    assert np.abs(u - fine).max() <= error
+
+
+def test_graded_and_uniform_meshes_agree():
+    """Uniform meshes, of which the corners are the worst part, converge to the same field."""
+    sample = Sample(height=31, width=46, poisson_ratio=0.49, compression=1.0)
+    u = background_field(sample, Forward(background_error=1e-4))
+    errors = [np.abs(displacement(sample, cell) - u) for cell in (2.0, 1.0, 0.5)]
+    largest = [e.max() for e in errors]
+    assert largest[2] < 3e-3
+    assert largest[2] < largest[1] < largest[0]
+    # The energy of the singular part that a uniform mesh misses falls with rate one at least.
+    inside = [e[:, 4:-4].max() for e in errors]
+    assert inside[2] < 0.55 * inside[1] < 0.55**2 * inside[0]
+
+
+def test_cells_do_not_grow_with_the_pixels(monkeypatch):
+    used = []
+
+    def solve_on(sample, motion, basis, *others):
+        used.append(basis.mesh.nelements)
+        return np.zeros((2, *sample.shape))
+
+    monkeypatch.setattr(elasticity, "_solve", solve_on)
+    monkeypatch.setattr(elasticity, "_missed", lambda *_: np.inf)
+    for shape in ((64, 96), (2000, 3000), (400, 33)):
+        used.clear()
+        deform(Sample(height=shape[0], width=shape[1]), {})
+        assert used == sorted(used)
+        np.testing.assert_allclose(used, np.square(elasticity.MESHES), rtol=0.1)
+
+
+def test_edges_move_as_prescribed():
+    sample = Sample(height=60, width=80, compression=0.0)
+    bump = np.exp(-((np.arange(80) - 43.3) ** 2) / (2 * 5.0**2))
+    g = np.stack([0.1 * bump, -1 - 0.2 * bump])
+    u = deform(sample, {"top": np.zeros((2, 1)), "bottom": g})
+    np.testing.assert_allclose(u[:, -1, 1:-1], g[:, 1:-1], atol=2e-3)
+    np.testing.assert_allclose(u[:, 0], 0, atol=1e-9)
+    sideways = deform(sample, {"left": np.array([[0.5], [0.0]]), "right": np.zeros((2, 1))})
+    np.testing.assert_allclose(sideways[0, :, 0], 0.5, atol=1e-9)
+    np.testing.assert_allclose(sideways[:, :, -1], 0, atol=1e-9)

@@ -72,7 +72,7 @@ def test_a_region_inside_the_sample(files, truth, sample):
     )
     scene = prepare(pair)
     assert not scene.edges
-    whole = eofm.background_field(sample, eofm.Forward(background_cell=2.0))
+    whole = eofm.background_field(sample, eofm.Forward(background_error=1e-4))
     np.testing.assert_allclose(scene.background, whole[:, 8:52, 10:70], atol=0.01)
     seen = truth[:, 8:52, 10:70]
     assert error(analyse(pair, estimation=QUICK).u, seen) < 0.7 * error(scene.background, seen)

@@ -2,9 +2,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.distance import pdist
+from scipy.spatial.distance import cdist, pdist
 
 import eofm
+from eofm.phantom import scatter
 
 
 def still(height=40, width=60):
@@ -43,6 +44,18 @@ def test_bubbles_lie_in_the_sample_at_their_distance(count, distance, seed):
     assert (x >= 0).all()
     assert (x <= [59, 39]).all()
     assert count == 1 or pdist(x).min() >= distance
+
+
+@pytest.mark.parametrize(("count", "distance"), [(40, 5.0), (150, 2.5), (20, 0.01)])
+def test_places_are_the_first_far_enough_from_all_before(count, distance):
+    """Neighbours alone are asked, with the same answer."""
+    found = scatter((40, 60), count, distance, np.random.default_rng(4)).T
+    rng, points = np.random.default_rng(4), np.empty((0, 2))
+    while len(points) < count:
+        p = rng.uniform(0, [59, 39])[None]
+        if (cdist(p, points) >= distance).all():
+            points = np.concatenate([points, p])
+    np.testing.assert_array_equal(found, points)
 
 
 def test_impossible_distance_is_refused():
