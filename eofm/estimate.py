@@ -28,9 +28,14 @@ from eofm.images import (
 )
 from eofm.matching import ImagePair, Match, random_signs
 from eofm.multigrid import multigrid
-from eofm.multiscale import coarse_to_fine, pyramid
+from eofm.multiscale import coarse_to_fine, pyramid, solving
 
 Array = NDArray[np.float64]
+
+# Relative residual of the solves; u changes by less than 1e-4 px below it.
+TOLERANCE = 1e-5
+# The same of solves that are followed by another about their result.
+ROUGH = 1e-3
 
 
 @dataclass(frozen=True)
@@ -168,7 +173,8 @@ def estimate_displacement(
     update = h * (motion - evaluate_field(background, x))
     I1, I2 = normalised(I1, I2, settings, (h1, h2))
     grids = pyramid(I1.shape, settings.scales, settings.factor, (h1, h2))
-    problem = _Problem(settings, grids, u_bg, v_edges, h * x, update, dead.astype(float))
+    known = h * x, update, dead.astype(float)
+    problem = _Problem(settings, grids, u_bg, v_edges, *known, progress)
     start = u_bg if settings.start == "background" else None
     coarse_to_fine(I1, I2, problem.improve, grids, start=start, progress=progress)
     assert problem.found is not None  # there is at least one scale
@@ -191,6 +197,7 @@ class _Problem:
         Bubbles and their motion less that of the background.
     dead : ndarray, shape (height, width)
         1 where there is no data, else 0.
+    progress : bool
     weights : list of float
         Values of alpha that were chosen.
     found : Estimate, optional
@@ -204,6 +211,7 @@ class _Problem:
     x: Array
     motion: Array
     dead: Array
+    progress: bool
     weights: list[float] = field(default_factory=list)
     found: Estimate | None = None
 
@@ -231,8 +239,11 @@ class _Problem:
                 )
             alpha = settings.alpha or max(self.weights, default=FIRST)
             F = Quadratic(grid, known + match.density(u_bg), alpha, free, settings.smoothness)
-            F = F.shifted(prescribed)
-            u = u_bg + prescribed + multigrid(F)
+            F, about = F.shifted(prescribed), u_bg + prescribed
+            last = finest and warp == settings.warps - 1
+            with solving(grid, self.progress) as report:
+                tol = TOLERANCE if last else ROUGH
+                u = about + multigrid(F, tol=tol, initial=u - about, report=report)
         if finest:
             h = np.reshape(grid.spacing, (2, 1, 1))
             self.found = Estimate(u / h, alpha, pair.linearise(u), F)

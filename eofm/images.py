@@ -213,7 +213,9 @@ def resize(I: Array, shape: tuple[int, int]) -> Array:
     A coarser grid is preceded by a Gaussian that takes the blur of a pixel from 0.5
     samples of the fine grid to 0.5 of the coarse one.
     """
-    return I if shape == I.shape else Spline(I).resize(shape)
+    if shape == I.shape:
+        return I
+    return Spline(I).resize(shape) if I.any() else np.zeros(shape)
 
 
 def resize_field(u: Array, shape: tuple[int, int]) -> Array:

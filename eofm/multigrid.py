@@ -69,7 +69,7 @@ def multigrid(
     max_iterations : int
         Of the conjugate gradients.
     initial : ndarray, shape (2, height, width), optional
-        Where to start, px; 0 by default.
+        Where to start, px, if its residual is smaller than that of 0.
     report : callable, optional
         Called with the number of iterations done and the relative residual, from 0 on.
 
@@ -88,18 +88,22 @@ def multigrid(
     size = _norm(r)
     x, p, q = np.zeros_like(top.x, np.float64), np.zeros_like(top.x, np.float64), np.empty_like(r)
     if size == 0:
-        return _inner(x).copy()
+        return _inner(x)
     if initial is not None:
-        _inner(x)[...] = initial * F.free
+        np.multiply(initial, F.free, out=_inner(x))
         stencils.product(q, x, *operator)
-        r -= q
+        np.subtract(r, q, out=q)
+        if _norm(q) < size:
+            r[...] = q
+        else:
+            x.fill(0.0)
     b = r.astype(top.x.dtype)
     residual, zr = _norm(r) / size, math.inf
     for iteration in range(max_iterations + 1):
         if report is not None:
             report(iteration, residual)
         if residual <= tol:
-            return _inner(x).copy()
+            return _inner(x)
         if iteration == max_iterations:
             break
         z = top.correct(b)
@@ -135,8 +139,6 @@ class Level:
         Steps of the smoother; corrections per correction of the finer grid.
     x, y : ndarray, shape (2, n + 4, m + 4)
         Fields, the present and the last iterate.
-    q : ndarray, shape (2, n, m)
-        K x.
     b : ndarray, shape (2, nc, mc)
         Right-hand side of the coarse grid.
     transfer : tuple
@@ -154,15 +156,13 @@ class Level:
         n, m = self.operator[2].shape
         precision = self.operator[0].dtype
         self.x, self.y = np.zeros((2, 2, n + 4, m + 4), precision)
-        self.q = np.empty((2, n, m), precision)
         self.b = np.empty((2, *(s - 4 for s in self.coarse.x.shape[1:])), precision)
 
     def correct(self, b: Array, visits: int = 1) -> Array:
         """Field close to K^-1 b: linear, symmetric and positive definite in b."""
         for visit in range(visits):
             self._smooth(b, visit == 0)
-            stencils.product(self.q, self.x, *self.operator)
-            stencils.restrict(self.b, b, self.q, *self.transfer)
+            stencils.restrict(self.b, b, self.x, *(*self.transfer, *self.operator))
             e = self.coarse.correct(self.b, self.visits)
             stencils.prolong(self.x, e, self.operator[2], *self.transfer)
             self._smooth(b, False)

@@ -1,6 +1,7 @@
 """Coarse to fine: one driver for any solver of a linearised flow problem."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from math import ceil
 
 import numpy as np
@@ -51,6 +52,24 @@ def pyramid(
         h1, h2 = (h * c for h, c in zip(spacing, coarser, strict=True))
         grids.append(Grid((rows, columns), (h1, h2)))
     return grids[::-1]
+
+
+@contextmanager
+def solving(grid: Grid, progress: bool) -> Iterator[Callable[[int, float], None]]:
+    """A ``report`` for :func:`eofm.multigrid.multigrid` that shows what takes long.
+
+    Size of the grid, iteration and residual stand below the bar of the scales, after a second
+    and if standard error is a terminal.
+    """
+    title = f"{grid.shape[0]} x {grid.shape[1]} px"
+    hidden = None if progress else True
+    with tqdm(desc=title, unit=" iterations", leave=False, delay=1, disable=hidden) as bar:
+
+        def report(iteration: int, residual: float) -> None:
+            bar.set_postfix_str(f"residual {residual:.0e}", refresh=False)
+            bar.update(iteration - bar.n)
+
+        yield report
 
 
 def coarse_to_fine(

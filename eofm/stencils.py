@@ -121,16 +121,24 @@ def _row(s, u, i, A, G, free, X1, X2, bending):
             _springs(s, u, G, o, i - a, p, i, q, i - a, p, size)
 
 
+@njit(cache=True, fastmath={"reassoc", "contract"})
+def _dot(u, q):
+    """``u . q`` of a row of a field and one of a functional: the same for any threads."""
+    total = 0.0
+    for j in range(q.size):
+        total += u[j + 2] * q[j]
+    return total
+
+
 @njit(cache=True)
 def _product_row(q, sums, u, i, A, G, free, X1, X2, bending):
     s = np.empty((2, free.shape[1]), u.dtype)
     _row(s, u, i, A, G, free, X1, X2, bending)
-    total, zero = 0.0, u.dtype.type(0)
+    zero = u.dtype.type(0)
     for c in range(2):
         for j in range(free.shape[1]):
             q[c, i, j] = s[c, j] if free[i, j] else zero
-            total += q[c, i, j] * u[c, i + 2, j + 2]
-    sums[i] = total
+    sums[i] = _dot(u[0, i + 2], q[0, i]) + _dot(u[1, i + 2], q[1, i])
 
 
 @njit(cache=True, parallel=True)
@@ -187,31 +195,39 @@ def chebyshev(y, x, b, c1, c2, first, A, G, free, X1, X2, bending):
 
 
 @njit(cache=True)
-def _restrict_row(rc, b, q, i, J1, t1, J2, t2):
+def _restrict_strip(rc, low, b, x, J1, t1, J2, t2, A, G, free, X1, X2, bending):
     m = J1.size
-    s = np.zeros((2, m), b.dtype)
-    one = b.dtype.type(1)
-    for k in range(np.searchsorted(J2, i - 1), np.searchsorted(J2, i + 1)):
-        w = one - t2[k] if J2[k] == i else t2[k]
+    high = min(low + STRIP, rc.shape[1])
+    top = low - 1
+    S = np.zeros((2, high - top + 1, m), b.dtype)
+    s = np.empty((2, m), b.dtype)
+    one, zero = b.dtype.type(1), b.dtype.type(0)
+    for i in range(np.searchsorted(J2, top), np.searchsorted(J2, high)):
+        _row(s, x, i, A, G, free, X1, X2, bending)
+        k = J2[i] - top
         for c in range(2):
             for j in range(m):
-                s[c, j] += w * (b[c, k, j] - q[c, k, j])
+                r = b[c, i, j] - s[c, j] if free[i, j] else zero
+                S[c, k, j] += (one - t2[i]) * r
+                S[c, k + 1, j] += t2[i] * r
     for c in range(2):
-        rc[c, i] = 0
-        for j in range(m):
-            rc[c, i, J1[j]] += (one - t1[j]) * s[c, j]
-            rc[c, i, J1[j] + 1] += t1[j] * s[c, j]
+        for i in range(low, high):
+            rc[c, i] = 0
+            for j in range(m):
+                rc[c, i, J1[j]] += (one - t1[j]) * S[c, i - top, j]
+                rc[c, i, J1[j] + 1] += t1[j] * S[c, i - top, j]
 
 
 @njit(cache=True, parallel=True)
-def restrict(rc, b, q, J1, t1, J2, t2):
-    """Write to rc the transpose of the bilinear interpolation of :func:`prolong`, of b - q."""
-    if b.size < SERIAL:
-        for i in range(rc.shape[1]):
-            _restrict_row(rc, b, q, i, J1, t1, J2, t2)
+def restrict(rc, b, x, J1, t1, J2, t2, A, G, free, X1, X2, bending):
+    """Write to rc the transpose of the bilinear interpolation of :func:`prolong`, of b - K x."""
+    strips = (rc.shape[1] - 1) // STRIP + 1
+    if free.size < SERIAL:
+        for k in range(strips):
+            _restrict_strip(rc, k * STRIP, b, x, J1, t1, J2, t2, A, G, free, X1, X2, bending)
     else:
-        for i in prange(rc.shape[1]):
-            _restrict_row(rc, b, q, i, J1, t1, J2, t2)
+        for k in prange(strips):
+            _restrict_strip(rc, k * STRIP, b, x, J1, t1, J2, t2, A, G, free, X1, X2, bending)
 
 
 @njit(cache=True)
@@ -340,34 +356,33 @@ def coarsen(Ac, Gc, A, G, free, X1, X2, J1, t1, J2, t2):
         _coarsen_strip(Ac, Gc, strip * STRIP, A, G, free, X1, X2, J1, t1, J2, t2)
 
 
+@njit(cache=True, fastmath={"reassoc", "contract"})
+def _advance_row(x, r, b, p, q, step, i):
+    total = 0.0
+    for c in range(2):
+        for j in range(r.shape[2]):
+            x[c, i + 2, j + 2] += step * p[c, i + 2, j + 2]
+            r[c, i, j] -= step * q[c, i, j]
+            b[c, i, j] = r[c, i, j]
+            total += r[c, i, j] ** 2
+    return total
+
+
 @njit(cache=True, parallel=True)
 def advance(x, r, b, p, q, step):
     """``x += step p``, ``r -= step q``, ``b = r``; return ``r . r`` summed over each row."""
-    n, m = r.shape[1:]
-    sums = np.empty(n)
-    for i in prange(n):
-        total = 0.0
-        for c in range(2):
-            for j in range(m):
-                x[c, i + 2, j + 2] += step * p[c, i + 2, j + 2]
-                r[c, i, j] -= step * q[c, i, j]
-                b[c, i, j] = r[c, i, j]
-                total += r[c, i, j] ** 2
-        sums[i] = total
+    sums = np.empty(r.shape[1])
+    for i in prange(r.shape[1]):
+        sums[i] = _advance_row(x, r, b, p, q, step, i)
     return sums
 
 
 @njit(cache=True, parallel=True)
 def dot(z, r):
     """``z . r`` of a field and a functional, summed over each row, shape (n,)."""
-    n, m = r.shape[1:]
-    sums = np.empty(n)
-    for i in prange(n):
-        total = 0.0
-        for c in range(2):
-            for j in range(m):
-                total += z[c, i + 2, j + 2] * r[c, i, j]
-        sums[i] = total
+    sums = np.empty(r.shape[1])
+    for i in prange(r.shape[1]):
+        sums[i] = _dot(z[0, i + 2], r[0, i]) + _dot(z[1, i + 2], r[1, i])
     return sums
 
 
