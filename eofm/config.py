@@ -398,7 +398,7 @@ class Benchmark(Section):
     largest: dict[Tool, int] = Field(
         {
             "eofm": 2048,
-            "eofm_preset": 1024,
+            "eofm_preset": 512,
             "tvl1": 1024,
             "ilk": 2048,
             "dis": 2048,

@@ -32,6 +32,7 @@ def draw(table: pd.DataFrame) -> Figure:
             axis.set(xscale="log", yscale="log", xlabel="side of the images [px]", ylabel=label)
             axis.set_xticks(sorted(set(table["size"])), labels=sorted(set(table["size"])))
             axis.xaxis.set_minor_locator(NullLocator())
+            axis.yaxis.set_major_formatter("{x:g}")
             axis.grid(which="major", linewidth=0.3, alpha=0.5)
         handles, labels = axes[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside right center", frameon=False)

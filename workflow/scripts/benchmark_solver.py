@@ -1,4 +1,7 @@
-"""Iterations, time and memory of the multigrid solver on the data of one pair of images."""
+"""Iterations and time of the multigrid solver on the data of one pair of images.
+
+The memory is that of the functional and the solver, without the images.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -36,8 +39,8 @@ def iterations(F: Quadratic) -> int:
 
 
 iterations(functional(slice(SMALL), 1.0))
-problem = functional(slice(None), 1.0)
 idle, rows = peak(), []
+problem = functional(slice(None), 1.0)
 for alpha in snakemake.params.alphas:
     F = replace(problem, alpha=alpha)
     found, cost = measure(lambda F=F: iterations(F), idle)

@@ -6,7 +6,7 @@ import matplotlib as mpl
 import pandas as pd
 from marks import look
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from eofm import io
 from eofm.config import Figures
@@ -26,6 +26,9 @@ def draw(table: pd.DataFrame) -> Figure:
                 axis.plot(table["phantom"], table[name], linestyle=":", linewidth=0.5, **look(name))
         axis.set(yscale="log", xlabel="phantom", ylabel="relative error of u [%]")
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axis.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.yaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_minor_formatter(NullFormatter())
         axis.grid(axis="y", which="both", linewidth=0.3, alpha=0.5)
         figure.legend(loc="outside right upper", frameon=False)
     return figure
