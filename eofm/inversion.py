@@ -1,6 +1,6 @@
 """The functional of `eofm.stiffness` on elements, its minimiser, and the choice of its weight."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -133,29 +133,46 @@ def gauss_newton(
 
 
 def choose_gamma(
-    problem: Problem,
-    losses: Callable[[Array], Array],
+    problem: Callable[[NDArray[np.bool_]], Problem],
+    losses: Callable[[Array, NDArray[np.bool_]], Array],
+    folds: Sequence[NDArray[np.bool_]],
     settings: Identification,
     report: Report,
-) -> tuple[float, Array]:
-    """Largest weight whose successor is not clearly better, and its ``m``.
+) -> float:
+    """Largest weight whose successor is not clearly better.
 
-    ``losses(u)`` holds the misfit of each held-out block. A third of the weight counts as
-    better where their mean falls by more than ``clear`` standard errors of the difference
-    (as in the rule of one standard error, Breiman et al., Classification and Regression
-    Trees, 1984, but between paired blocks); otherwise the stronger prior is kept.
+    A third of the weight counts as better where the mean misfit of held-out blocks falls by
+    more than ``clear`` standard errors of the difference (as in the rule of one standard
+    error, Breiman et al., Classification and Regression Trees, 1984, but between paired
+    blocks); otherwise the stronger prior is kept.
+
+    Parameters
+    ----------
+    problem : callable
+        ``problem(mask)`` is the one that sees the pixels of a mask.
+    losses : callable
+        ``losses(u, mask)`` holds the misfit of each block of a mask.
+    folds : sequence of masks
+        The pixels held out in turn.
     """
     low, gamma = settings.gamma_range
-    m = gauss_newton(problem, np.zeros(problem.model.shape), gamma, settings, report)
-    loss = losses(problem.u(problem.state(m)))
+    parts = [problem(~out) for out in folds]
+    m = [np.zeros(part.model.shape) for part in parts]
+
+    def fit(gamma: float) -> Array:
+        for k, part in enumerate(parts):
+            m[k] = gauss_newton(part, m[k], gamma, settings, report)
+        fields = (part.u(part.state(m_k)) for part, m_k in zip(parts, m, strict=True))
+        return np.concatenate([losses(u, out) for u, out in zip(fields, folds, strict=True)])
+
+    loss = fit(gamma)
     while gamma / STEP >= low:
-        trial = gauss_newton(problem, m, gamma / STEP, settings, report)
-        trial_loss = losses(problem.u(problem.state(trial)))
-        gains = loss - trial_loss
+        trial = fit(gamma / STEP)
+        gains = loss - trial
         if gains.mean() <= settings.clear * gains.std() / np.sqrt(gains.size):
             break
-        gamma, m, loss = gamma / STEP, trial, trial_loss
-    return gamma, m
+        gamma, loss = gamma / STEP, trial
+    return gamma
 
 
 def slope(m: Array) -> Array:

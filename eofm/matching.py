@@ -38,9 +38,10 @@ class Match:
     r: Array
     used: Mask
 
-    def density(self, about: Array, mask: Mask | bool = True) -> Pointwise:
+    def density(self, about: Array, mask: Mask | None = None) -> Pointwise:
         """Return the data term of ``v``, where the displacement is ``about + v``, on a mask."""
-        return data_term(self.g, self.residual(about), self.used & mask)
+        used = self.used if mask is None else self.used & mask
+        return data_term(self.g, self.residual(about), used)
 
     def residual(self, v: Array) -> Array:
         """What a displacement leaves of the difference of the images, shape (height, width)."""

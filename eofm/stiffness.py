@@ -13,6 +13,7 @@ background field of the next estimate, until the field settles.
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,9 @@ Array = NDArray[np.float64]
 
 # Contradictions smaller than this are none, px.
 UNCERTAIN = 0.5
+# Side of the blocks that are held out to choose gamma, px. They hold whole bubbles: what the
+# rest of a bubble gets wrong, as it moves without being strained, its other half does too.
+BLOCK = 16
 # Elements at most, where their size is left open: their matrix is factorised many times.
 ELEMENTS = 6400
 # Smallest side of an element then, px.
@@ -191,21 +195,19 @@ def _identify(
     # What the mesh gets wrong where E = 1.
     correction = h * u_bg - model.to_pixels(model.solve(np.zeros(model.shape)).u)
 
-    def problem(mask: NDArray[np.bool_] | bool) -> Problem:
+    def problem(mask: NDArray[np.bool_]) -> Problem:
         data = match.density(np.zeros_like(u_bg), mask)
         scaled = Pointwise(data.A / match.noise**2, data.b / match.noise**2)
         return Problem(model, correction, scaled, settings.epsilon)
 
+    m, gamma = np.zeros(model.shape), settings.gamma
     if previous is not None:
         m, gamma = previous.m, previous.gamma
-    elif settings.gamma is not None:
-        m, gamma = np.zeros(model.shape), settings.gamma
-    else:
-        out = held_out(match.grid.shape)
-        gamma, m = choose_gamma(
-            problem(~out), lambda u: match.block_misfits(u, out), settings, report
-        )
-    whole = problem(True)
+    if gamma is None:
+        folds = [held_out(match.grid.shape, fold, BLOCK) for fold in range(4)]
+        misfits = partial(match.block_misfits, block=BLOCK)
+        gamma = choose_gamma(problem, misfits, folds, settings, report)
+    whole = problem(np.ones(match.used.shape, dtype=bool))
     m = gauss_newton(whole, m, gamma, settings, report)
     log_E = LARGEST * np.tanh(m / LARGEST)
     log_E = model.elements_to_pixels(log_E - np.median(log_E))
