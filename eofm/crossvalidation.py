@@ -62,6 +62,7 @@ def choose_alpha(
         _Trial(_cut(match, w), about[:, *w], prescribed[:, *w], free[w], smoothness, fold)
         for w in _windows(match.grid.shape)
         for fold in (0, 2)
+        if (match.g[:, *w] * match.used[w]).any()
     ]
     misfits: dict[int, float] = {}
 

@@ -68,7 +68,7 @@ def test_steps_are_the_library_s_functions(folder):
         eofm.Estimation(scales=3, zero_edges=("top", "bottom")),
         bubbles=io.read_bubbles(folder / "bubbles.csv"),
         background=io.read_field(folder / "bg.tif"),
-    )
+    ).u
     np.testing.assert_array_equal(u.astype(np.float32), tifffile.imread(folder / "u.tif"))
 
 
@@ -109,7 +109,7 @@ def test_two_sizes_and_constant_images(folder, tmp_path, capsys, step):
 def test_too_small_for_the_scales(tmp_path, capsys):
     small = tmp_path / "small.tif"
     tifffile.imwrite(small, np.eye(9, 12))
-    words = ["estimate", small, small, "--output", tmp_path / "o"]
+    words = ["estimate", small, small, "--output", tmp_path / "o", "--method", "paper"]
     fails(capsys, words, "too small for 4 scales; use at most 2")
 
 
@@ -155,36 +155,27 @@ def test_unusable_fields_and_tables(folder, tmp_path, capsys):
 def test_all_outputs_are_checked_before_any_work(folder, tmp_path, capsys):
     pair = [folder / "a.tif", folder / "b.tif"]
     out = tmp_path / "u.tif"
-    fails(
-        capsys, ["preset", *pair, "--output", out, "--deviation", tmp_path / "no" / "sd.tif"], "sd"
-    )
+    missing = tmp_path / "no" / "sd.tif"
+    fails(capsys, ["estimate", *pair, "--output", out, "--deviation", missing], "sd")
     fails(capsys, ["estimate", *pair, "--output", tmp_path], "is a folder")
     assert not list(tmp_path.iterdir())
 
 
-def test_preset_and_stiffness_run_as_their_help_says(folder, tmp_path):
+def test_error_bars_and_stiffness_as_their_help_says(folder, tmp_path, capsys):
     pair = [str(folder / "a.tif"), str(folder / "b.tif")]
-    out = [str(tmp_path / name) for name in ("E.tif", "u.tif", "sd.tif")]
-    assert main(["preset", *pair, "--output", out[1], "--deviation", out[2]]) == 0
+    out = [str(tmp_path / name) for name in ("E.tif", "u.tif", "sd.tif", "sd_E.tif")]
+    assert main(["estimate", *pair, "--output", out[1], "--deviation", out[2]]) == 0
     assert tifffile.imread(out[2]).min() > 0
-    size = [
-        "--height",
-        "40",
-        "--width",
-        "60",
-        "--compression",
-        "2",
-        "--zero-edges",
-        "top",
-        "bottom",
-    ]
-    words = ["stiffness", *pair, "--output", out[0], "--displacement", out[1], *size]
-    assert main([*words, "--deviation", out[2]]) == 0
+    words = ["stiffness", *pair, "--output", out[0], "--displacement", out[1]]
+    words += ["--height", "40", "--width", "60", "--compression", "2"]
+    assert main([*words, "--deviation", out[2], "--stiffness-deviation", out[3]]) == 0
+    assert "of the background's; gamma" in capsys.readouterr().out
     E = tifffile.imread(out[0])
     x2, x1 = np.mgrid[:40, :60]
     disc = (x1 - 30) ** 2 + (x2 - 22) ** 2 < 9**2
     assert E[disc].mean() > 1.1 * E[~disc].mean()
     assert np.median(E) == pytest.approx(1, abs=0.05)
+    assert tifffile.imread(out[3]).shape == E.shape
 
 
 def test_no_bubble_found(folder, tmp_path, capsys):

@@ -68,7 +68,7 @@ def test_the_paper_s_parameters(folder):
         ({"phantom": {"sigma": [2, 1]}}, "sigma: wants 0 < low <= high"),
         ({"tests": {"9": {"changes": {"alpha": -1}}}}, "tests.9.changes: alpha: .*greater than 0"),
         ({"tests": {"6": {}}}, "'6' cannot be a test's name"),
-        ({"preset": {"alpha_start": 0.001}}, "alpha_start: 0.001 lies outside of alpha_range"),
+        ({"preset": {"method": "papers"}}, "preset.method: .*'preset' or 'paper'"),
         ({"figures": {"pixel_size": [0, 5]}}, "figures.pixel_size.0: .*greater than 0"),
         ({"sample": 5}, "sample: .*dictionary"),
     ],
@@ -112,3 +112,11 @@ def test_a_broken_file_is_named(tmp_path, text):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(InputError, match=r"nowhere\.yaml"):
         load(tmp_path / "nowhere.yaml")
+
+
+def test_the_method_says_whose_defaults_hold():
+    preset, paper = Estimation(), Estimation(method="paper")
+    assert (preset.smoothness, preset.alpha, preset.warps) == ("bending", None, 3)
+    assert (paper.smoothness, paper.alpha, paper.warps) == ("gradient", 0.8, 1)
+    assert Estimation(method="paper", alpha=None).alpha is None
+    assert Estimation.parse(paper.model_dump(), "again") == paper

@@ -14,9 +14,8 @@ from eofm.functional import (
     Grid,
     Pointwise,
     Quadratic,
-    bending_energy,
     data_term,
-    gradient_energy,
+    smoothness_energy,
     speckle_term,
 )
 from eofm.images import gradient
@@ -103,8 +102,23 @@ def test_smoothness_energies_of_polynomials():
     for f, first, second in [(1 + 0 * x1, 0, 0), (3 * x1 - x2, 10, 0), (x1 * x2, None, 2)]:
         f = f.ravel()
         if first is not None:
-            assert f @ (gradient_energy(grid) @ f) == pytest.approx(first * area, abs=1e-9)
-        assert f @ (bending_energy(grid) @ f) == pytest.approx(second * area, abs=1e-8)
+            assert f @ (smoothness_energy(grid, "gradient") @ f) == pytest.approx(
+                first * area, abs=1e-9
+            )
+        assert f @ (smoothness_energy(grid, "bending") @ f) == pytest.approx(
+            second * area, rel=1e-10, abs=1e-8
+        )
+
+
+@pytest.mark.parametrize("smoothness", ["gradient", "bending"])
+def test_rough_functionals_have_the_covariance_of_the_smoothness(smoothness):
+    shape = (8, 9)
+    terms = Pointwise(np.zeros((3, *shape)), np.zeros((2, *shape)))
+    F = Quadratic(Grid(shape, (1.2, 0.8)), terms, 0.7, np.ones(shape, dtype=bool), smoothness)
+    rng = np.random.default_rng(4)
+    draws = np.stack([F.rough(rng).ravel() for _ in range(20000)])
+    exact = F.a().toarray() / 2
+    assert np.abs(draws.T @ draws / len(draws) - exact).max() < 0.05 * exact.max()
 
 
 def test_data_term_is_the_square_of_the_flow_equation(rng):

@@ -16,7 +16,7 @@ from eofm.pairs import analyse
 from eofm.report import write_results
 from eofm.scene import prepare
 
-QUICK = Estimation(scales=3, limits=(0, 1))
+QUICK = Estimation(method="paper", scales=3, limits=(0, 1))
 
 
 @pytest.fixture
@@ -120,7 +120,9 @@ def test_what_a_mask_hides_does_not_stretch_the_grey_scale(files, pair, truth):
             spoilt[:2] = value
             tifffile.imwrite(files / f"{name}.tif", spoilt.astype(np.float32))
         more = {"mask": str(files / "mask.tif")}
-        found.append(analyse(describe(files, **more), estimation=Estimation(scales=3)).u)
+        found.append(
+            analyse(describe(files, **more), estimation=Estimation(method="paper", scales=3)).u
+        )
     np.testing.assert_allclose(found[0], found[1], atol=1e-6)
 
 
@@ -170,7 +172,9 @@ def test_brightness_that_changes_from_place_to_place(rng):
     x1 = np.mgrid[:64, :80][1]
     shaded = I * (1 - 0.6 * x1 / 79) + 0.2 * x1 / 79
     plain, local = (
-        eofm.estimate_displacement(I, shaded, Estimation(alpha=0.02, warps=3, local_window=w))
+        eofm.estimate_displacement(
+            I, shaded, Estimation(method="paper", alpha=0.02, warps=3, local_window=w)
+        ).u
         for w in (None, 8.0)
     )
     assert np.hypot(*local).mean() < 0.3 * np.hypot(*plain).mean()

@@ -27,7 +27,7 @@ from eofm.images import evaluate, inside, normalise, normalise_locally
 Array = NDArray[np.float64]
 
 WINDOW = 20.0
-SETTINGS = eofm.Estimation(alpha=3.0, beta=0.0, scales=5, warps=3, local_window=WINDOW)
+SETTINGS = eofm.Estimation(local_window=WINDOW)
 TRIED: dict[str, list[dict[str, float]]] = {
     "tvl1": [{"attachment": a, "blur": b} for a in (3.0, 7.0, 15.0) for b in (0.0, 1.0, 2.0)],
     "dis": [{"finest_scale": s, "blur": b} for s in (0, 1) for b in (0.0, 1.5, 3.0)],
@@ -65,7 +65,7 @@ def main() -> None:
 
     def run(tool: str, setting: dict[str, float], part: slice) -> Array | None:
         if tool == "eofm":
-            return eofm.estimate_displacement(I1[part, part], I2[part, part], SETTINGS)
+            return eofm.estimate_displacement(I1[part, part], I2[part, part], SETTINGS).u
         return peers.estimate(tool, *(I[part, part] for I in local), **setting)
 
     for tool in ("eofm", *peers.TOOLS):

@@ -99,7 +99,7 @@ def table(config: Config, seed: int) -> tuple[np.ndarray, float]:
         found = eofm.estimate_displacement(
             I1, I2, config.variant(name), bubbles=bubbles, background=background
         )
-        rows.append(list(eofm.relative_errors(found, u).values()))
+        rows.append(list(eofm.relative_errors(found.u, u).values()))
     return np.array(rows), float((u[0] ** 2).sum() / (u**2).sum())
 
 
