@@ -15,6 +15,7 @@ with DeepFlow.
 """
 
 from collections.abc import Callable
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,7 +97,10 @@ def elastix(I1: Array, I2: Array) -> Array:
     _, transform = itk.elastix_registration_method(
         fixed, moving, parameter_object=settings, log_to_console=False, number_of_threads=1
     )
-    return _components(np.asarray(itk.transformix_deformation_field(moving, transform)))
+    # It also writes a file, wherever it is told.
+    with TemporaryDirectory() as folder:
+        u = itk.transformix_deformation_field(moving, transform, output_directory=folder)
+    return _components(np.asarray(u))
 
 
 def demons(I1: Array, I2: Array) -> Array:
