@@ -228,6 +228,7 @@ PAPER = {
     "gradients": "reference",
     "scales": 4,
     "warps": 1,
+    "denoising": 0.0,
 }
 
 
@@ -258,7 +259,7 @@ class Estimation(Section):
         description="scales; 1 is the paper's 'no multi-scale'; none: as many as leave 12 px",
     )
     factor: float = Field(0.5, gt=0, lt=1, description="ratio of the sizes of two scales")
-    warps: int = Field(3, ge=1, description="linear solves per scale, each after a warp")
+    warps: int = Field(2, ge=1, description="linear solves per scale, each after a warp")
     start: Literal["zero", "background"] = Field(
         "background", description="field about which the images are linearised first"
     )
@@ -278,6 +279,9 @@ class Estimation(Section):
     )
     local_window: Positive | None = Field(
         None, description="window of the local normalisation of brightness and contrast, px"
+    )
+    denoising: float = Field(
+        0.6, ge=0, description="Gaussian applied to both images before all else, px"
     )
 
     @model_validator(mode="before")

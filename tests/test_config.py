@@ -116,7 +116,7 @@ def test_a_missing_file_is_named(tmp_path):
 
 def test_the_method_says_whose_defaults_hold():
     preset, paper = Estimation(), Estimation(method="paper")
-    assert (preset.smoothness, preset.alpha, preset.warps) == ("bending", None, 3)
+    assert (preset.smoothness, preset.alpha, preset.warps) == ("bending", None, 2)
     assert (paper.smoothness, paper.alpha, paper.warps) == ("gradient", 0.8, 1)
     assert Estimation(method="paper", alpha=None).alpha is None
     assert Estimation.parse(paper.model_dump(), "again") == paper
