@@ -165,12 +165,14 @@ class _Problem:
         for _ in range(settings.warps):
             terms = known + _linearised(grid, I1, I2, grad_I, u, u_bg, live)
             F = Quadratic(grid, terms, settings.alpha, free)
-            known_part = u_bg + prescribed
             with solving(grid, self.progress) as report:
                 v = multigrid(
-                    F.shifted(prescribed), tol=TOLERANCE, initial=u - known_part, report=report
+                    F.shifted(prescribed),
+                    tol=TOLERANCE,
+                    initial=u - u_bg - prescribed,
+                    report=report,
                 )
-            u = known_part + v
+            u = u_bg + prescribed + v
         return u
 
 
