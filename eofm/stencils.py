@@ -33,7 +33,7 @@ AHEAD = ((0, 1), (1, -1), (1, 0), (1, 1))
 # Rows of a coarse grid that one thread makes together.
 STRIP = 16
 # Nodes below which handing rows to threads costs more than it saves.
-SERIAL = 8192
+SERIAL = 2**15
 TWO = np.uintp(2)
 
 
@@ -363,8 +363,13 @@ def coarsen(Ac, Gc, A, G, free, X1, X2, J1, t1, J2, t2):
     term. On grids that are not nested the product can couple next but one neighbours: we
     leave these out, which keeps the sums over rows and can only stiffen the energy.
     """
-    for strip in prange((Ac.shape[1] - 1) // STRIP + 1):
-        _coarsen_strip(Ac, Gc, strip * STRIP, A, G, free, X1, X2, J1, t1, J2, t2)
+    strips = (Ac.shape[1] - 1) // STRIP + 1
+    if free.size < SERIAL:
+        for k in range(strips):
+            _coarsen_strip(Ac, Gc, k * STRIP, A, G, free, X1, X2, J1, t1, J2, t2)
+    else:
+        for k in prange(strips):
+            _coarsen_strip(Ac, Gc, k * STRIP, A, G, free, X1, X2, J1, t1, J2, t2)
 
 
 @njit(cache=True, fastmath={"reassoc", "contract"})
@@ -383,8 +388,12 @@ def _advance_row(x, r, b, p, q, step, i):
 def advance(x, r, b, p, q, step):
     """``x += step p``, ``r -= step q``, ``b = r``; return ``r . r`` summed over each row."""
     sums = np.empty(r.shape[1])
-    for i in prange(r.shape[1]):
-        sums[i] = _advance_row(x, r, b, p, q, step, i)
+    if r.size < SERIAL:
+        for i in range(r.shape[1]):
+            sums[i] = _advance_row(x, r, b, p, q, step, i)
+    else:
+        for i in prange(r.shape[1]):
+            sums[i] = _advance_row(x, r, b, p, q, step, i)
     return sums
 
 
@@ -392,15 +401,28 @@ def advance(x, r, b, p, q, step):
 def dot(z, r):
     """``z . r`` of a field and a functional, summed over each row, shape (n,)."""
     sums = np.empty(r.shape[1])
-    for i in prange(r.shape[1]):
-        sums[i] = _dot(z[0, i + 2], r[0, i]) + _dot(z[1, i + 2], r[1, i])
+    if r.size < SERIAL:
+        for i in range(r.shape[1]):
+            sums[i] = _dot(z[0, i + 2], r[0, i]) + _dot(z[1, i + 2], r[1, i])
+    else:
+        for i in prange(r.shape[1]):
+            sums[i] = _dot(z[0, i + 2], r[0, i]) + _dot(z[1, i + 2], r[1, i])
     return sums
+
+
+@njit(cache=True)
+def _redirect_row(p, z, beta, i):
+    for c in range(2):
+        for j in range(p.shape[2]):
+            p[c, i, j] = z[c, i, j] + beta * p[c, i, j]
 
 
 @njit(cache=True, parallel=True)
 def redirect(p, z, beta):
     """``p = z + beta p`` for fields."""
-    for i in prange(p.shape[1]):
-        for c in range(2):
-            for j in range(p.shape[2]):
-                p[c, i, j] = z[c, i, j] + beta * p[c, i, j]
+    if p.size < SERIAL:
+        for i in range(p.shape[1]):
+            _redirect_row(p, z, beta, i)
+    else:
+        for i in prange(p.shape[1]):
+            _redirect_row(p, z, beta, i)
