@@ -33,7 +33,7 @@ AHEAD = ((0, 1), (1, -1), (1, 0), (1, 1))
 # Rows of a coarse grid that one thread makes together.
 STRIP = 16
 # Nodes below which handing rows to threads costs more than it saves.
-SERIAL = 2**15
+SERIAL = 2**16
 TWO = np.uintp(2)
 
 
