@@ -8,6 +8,7 @@ for dense speckle, where they are noise.
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from eofm.functional import Grid, Pointwise, Quadratic
 from eofm.matching import BLOCK, Match, held_out
@@ -21,6 +22,9 @@ FIRST, LEAST, LARGEST = 1.0, 0.01, 1000.0
 STEP = 3.0
 # Fewer blocks than these do not tell weights apart.
 BLOCKS = 50
+# Pixels around a held-out block that are not used either: the noise of images that were
+# filtered is correlated, and would be fitted on both sides of the border.
+MARGIN = 2
 # Side of the windows that stand for a large image, px.
 WINDOW = 192
 # Relative residual of the trial solves.
@@ -95,8 +99,9 @@ class _Trial:
         fold: int,
     ) -> None:
         self.match, self.about, self.free, self.smoothness = match, about, free, smoothness
-        self.out = held_out(match.grid.shape, fold) & match.used
-        terms = match.density(about, ~self.out)
+        out = held_out(match.grid.shape, fold)
+        self.out = out & match.used
+        terms = match.density(about, ~binary_dilation(out, np.ones((3, 3)), MARGIN))
         ridge = RIDGE * (terms.A[[0, 2]].mean() + np.finfo(float).tiny)
         self.terms = Pointwise(terms.A + ridge * np.reshape([1, 0, 1], (3, 1, 1)), terms.b)
         self.prescribed, self.v = prescribed, np.zeros_like(about)

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
 from eofm.bubbles import as_arrays
 from eofm.config import Edge, Estimation
@@ -221,7 +220,7 @@ class _Problem:
         settings, finest = self.settings, grid is self.grids[-1]
         u_bg = resize_field(self.u_bg, grid.shape)
         live = resize(self.dead, grid.shape) < 0.5
-        pair = ImagePair(grid, I1, I2, live, settings.gradients == "mean")
+        pair = ImagePair(grid, I1, I2, live, settings.gradients == "mean", settings.denoising)
         edges = _on_edges(grid, self.v_edges)
         coarse_only = finest and settings.speckle_scales == "coarse"
         beta = 0.0 if coarse_only else _weights(grid, self.x, self.v_edges, settings)
@@ -254,18 +253,13 @@ class _Problem:
 def normalised(
     I1: Array, I2: Array, settings: Estimation, spacing: tuple[float, float]
 ) -> tuple[Array, Array]:
-    """The images as the estimate sees them; ``spacing`` is that of unit pixels.
-
-    A Gaussian of half a pixel and a bit more takes a fifth off the error of noisy speckle, as
-    gradients amplify noise, and does no harm to clean images.
-    """
-    I1, I2 = normalise(I1, I2, settings.limits if settings.local_window is None else None)
-    if settings.denoising:
-        I1, I2 = (gaussian_filter(I, settings.denoising, mode="mirror") for I in (I1, I2))
-    if settings.local_window is not None:
-        window = settings.local_window / spacing[0], settings.local_window / spacing[1]
-        I1, I2 = normalise_locally(I1, window), normalise_locally(I2, window)
-    return I1, I2
+    """The images as the estimate sees them; ``spacing`` is that of unit pixels."""
+    if settings.local_window is None:
+        return normalise(I1, I2, settings.limits)
+    h1, h2 = spacing
+    window = settings.local_window / h1, settings.local_window / h2
+    I1, I2 = normalise(I1, I2)
+    return normalise_locally(I1, window), normalise_locally(I2, window)
 
 
 def _prescribed(grid: Grid, edges: dict[Edge, Array]) -> tuple[Array, NDArray[np.bool_]]:

@@ -220,7 +220,7 @@ def resize(I: Array, shape: tuple[int, int]) -> Array:
 
 def resize_field(u: Array, shape: tuple[int, int]) -> Array:
     """Sample both components of a field on another grid; its unit stays the same."""
-    return np.stack([resize(c, shape) for c in u])
+    return u if shape == u.shape[1:] else np.stack([resize(c, shape) for c in u])
 
 
 def gaussians(x1: Array, x2: Array, centres: Array, sigma: ArrayLike, weights: Array) -> Array:

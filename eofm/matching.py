@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 from eofm.functional import Grid, Pointwise, data_term
 from eofm.images import Spline, gradient
@@ -77,6 +78,11 @@ class ImagePair:
         Whether g is the mean of the gradients of I1 and of the warped I2, which is exact to
         second order and halves the variance of their noise, or the gradient of I1, as in
         the paper.
+    denoising : float
+        Gaussian applied to the images before they are differentiated, px of the grid. The
+        gradients' noise is what speckle suffers from most. The difference of the images
+        itself stays as it is: at the edges a filter sees what is beyond them in one image
+        and not in the other, and would move them.
     """
 
     grid: Grid
@@ -84,16 +90,15 @@ class ImagePair:
     I2: Array
     live: Mask
     mean: bool
+    denoising: float = 0.0
 
     def linearise(self, u: Array) -> Match:
         """Return the images linearised about a displacement."""
         samples = u / np.reshape(self.grid.spacing, (2, 1, 1))
+        warped, inside = self._spline.warp(samples)
+        g = self._gradient
         if self.mean:
-            warped, moved, inside = self._spline.warp_with_gradient(samples, self.grid.spacing)
-            g = (self._gradient + moved) / 2
-        else:
-            warped, inside = self._spline.warp(samples)
-            g = self._gradient
+            g = (g + self._smooth.warp_with_gradient(samples, self.grid.spacing)[1]) / 2
         return Match(self.grid, u, g, warped - self.I1, inside & self.live)
 
     @cached_property
@@ -101,8 +106,15 @@ class ImagePair:
         return Spline(self.I2)
 
     @cached_property
+    def _smooth(self) -> Spline:
+        return Spline(self._filtered(self.I2)) if self.denoising else self._spline
+
+    @cached_property
     def _gradient(self) -> Array:
-        return gradient(self.I1, self.grid.spacing)
+        return gradient(self._filtered(self.I1), self.grid.spacing)
+
+    def _filtered(self, I: Array) -> Array:
+        return gaussian_filter(I, self.denoising, mode="mirror") if self.denoising else I
 
 
 def held_out(shape: tuple[int, ...], fold: int = 0, block: int = BLOCK) -> Mask:

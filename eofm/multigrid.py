@@ -97,6 +97,7 @@ def multigrid(
             r[...] = q
         else:
             x.fill(0.0)
+        del initial  # maybe nobody else's
     b = r.astype(top.x.dtype)
     residual, zr = _norm(r) / size, math.inf
     for iteration in range(max_iterations + 1):
@@ -239,12 +240,14 @@ def hierarchy(F: Quadratic) -> Level | Coarsest:
         )
     precision = np.float64 if bending or contrast > SINGLE else np.float32
 
-    def grid(operator: tuple[Any, ...], h1: float, h2: float) -> Level | Coarsest:
+    levels = []
+    h1, h2 = map(float, F.grid.spacing)
+    while True:
         n, m = operator[2].shape
         nc = n // 2 + 1 if h2 < ALIKE * h1 else n
         mc = m // 2 + 1 if h1 < ALIKE * h2 else m
         if min(nc, mc) < COARSEST:
-            return Coarsest(operator, precision)
+            break
         transfer = (*_between(m, mc), *_between(n, nc))
         A, G = np.empty((3, nc, mc)), np.empty((12, nc, mc))
         stencils.coarsen(A, G, *(*operator[:-1], *transfer))
@@ -252,12 +255,12 @@ def hierarchy(F: Quadratic) -> Level | Coarsest:
         X1, X2 = _tables((nc, mc), (h1, h2), F.alpha, bending)
         A /= X1[0]
         A /= X2[0, :, None]
-        free = np.ones((nc, mc), dtype=np.bool_)
-        coarse = grid((A, G, free, X1, X2, bending), h1, h2)
-        operator, transfer = (_rounded(values, precision) for values in (operator, transfer))
-        return Level(operator, degree, visits, transfer, coarse)
-
-    return grid(operator, *map(float, F.grid.spacing))
+        levels.append((_rounded(operator, precision), _rounded(transfer, precision)))
+        operator = A, G, np.ones((nc, mc), dtype=np.bool_), X1, X2, bending
+    top: Level | Coarsest = Coarsest(operator, precision)
+    for operator, transfer in reversed(levels):
+        top = Level(operator, degree, visits, transfer, top)
+    return top
 
 
 def _rounded(values: tuple[Any, ...], precision: type) -> tuple[Any, ...]:

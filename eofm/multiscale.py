@@ -10,7 +10,7 @@ from tqdm import tqdm
 
 from eofm.errors import InputError
 from eofm.functional import Grid
-from eofm.images import resize, resize_field
+from eofm.images import Spline, resize_field
 
 Array = NDArray[np.float64]
 
@@ -104,7 +104,14 @@ def coarse_to_fine(
     """
     u = np.zeros((2, *I1.shape)) if start is None else start
     u = resize_field(u, grids[0].shape)
-    for grid in tqdm(grids, "scales", disable=None if progress else True):
-        u = resize_field(u, grid.shape)
-        u = improve(grid, resize(I1, grid.shape), resize(I2, grid.shape), u)
+    images = zip(_sampled(I1, grids), _sampled(I2, grids), strict=True)
+    bar = tqdm(grids, "scales", disable=None if progress else True)
+    for grid, (J1, J2) in zip(bar, images, strict=True):
+        u = improve(grid, J1, J2, resize_field(u, grid.shape))
     return u
+
+
+def _sampled(I: Array, grids: list[Grid]) -> list[Array]:
+    """The image on grids from coarse to fine, the last of which is its own."""
+    spline = Spline(I)
+    return [*(spline.resize(grid.shape) for grid in grids[:-1]), I]
