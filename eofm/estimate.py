@@ -29,9 +29,12 @@ from eofm.images import (
     warp,
 )
 from eofm.multigrid import multigrid
-from eofm.multiscale import coarse_to_fine
+from eofm.multiscale import coarse_to_fine, solving
 
 Array = NDArray[np.float64]
+
+# Relative residual of the solves; u changes by less than 1e-4 px below it.
+TOLERANCE = 1e-5
 
 
 def estimate_displacement(
@@ -106,7 +109,7 @@ def estimate_displacement(
     v_edges |= {edge: np.zeros_like(u_bg[:, *EDGES[edge]]) for edge in settings.zero_edges}
     x, motion = as_arrays(bubbles, I1.shape)
     update = h * (motion - evaluate_field(background, x))
-    problem = _Problem(settings, u_bg, v_edges, h * x, update, dead.astype(float))
+    problem = _Problem(settings, u_bg, v_edges, h * x, update, dead.astype(float), progress)
     I1, I2 = normalised(I1, I2, settings, (h1, h2))
     u = coarse_to_fine(
         I1,
@@ -135,6 +138,7 @@ class _Problem:
         Bubbles and their motion less that of the background.
     dead : ndarray, shape (height, width)
         1 where there is no data, else 0.
+    progress : bool
     """
 
     settings: Estimation
@@ -143,6 +147,7 @@ class _Problem:
     x: Array
     motion: Array
     dead: Array
+    progress: bool
 
     def improve(self, grid: Grid, I1: Array, I2: Array, u: Array) -> Array:
         """A better displacement than ``u`` for the images on a grid."""
@@ -158,9 +163,16 @@ class _Problem:
             edges = {}
         prescribed, free = _prescribed(grid, edges)
         for _ in range(settings.warps):
-            data = _linearised(grid, I1, I2, grad_I, u, u_bg, live)
-            F = Quadratic(grid, known + data, settings.alpha, free)
-            u = u_bg + prescribed + multigrid(F.shifted(prescribed))
+            terms = known + _linearised(grid, I1, I2, grad_I, u, u_bg, live)
+            F = Quadratic(grid, terms, settings.alpha, free)
+            with solving(grid, self.progress) as report:
+                v = multigrid(
+                    F.shifted(prescribed),
+                    tol=TOLERANCE,
+                    initial=u - u_bg - prescribed,
+                    report=report,
+                )
+            u = u_bg + prescribed + v
         return u
 
 

@@ -88,8 +88,12 @@ def data_term(grad_I: Array, I_t: Array, inside: NDArray[np.bool_]) -> Pointwise
 
     With a background, pass ``I_t + grad I . u_bg`` for ``I_t``.
     """
-    I1, I2 = np.where(inside, grad_I, 0.0)
-    return Pointwise(np.stack([I1 * I1, I1 * I2, I2 * I2]), -I_t * np.stack([I1, I2]))
+    g = np.where(inside, grad_I, 0.0)
+    A = np.empty((3, *I_t.shape))
+    for product, i, j in zip(A, (0, 0, 1), (0, 1, 1), strict=True):
+        np.multiply(g[i], g[j], out=product)
+    g *= I_t
+    return Pointwise(A, np.negative(g, out=g))
 
 
 def speckle_term(grid: Grid, x: Array, u: Array, beta: float | Array, sigma: float) -> Pointwise:
@@ -104,9 +108,12 @@ def speckle_term(grid: Grid, x: Array, u: Array, beta: float | Array, sigma: flo
     sigma : float
         Standard deviation of the Gaussians, px.
     """
+    if not x.size:
+        zero = np.zeros(1)
+        return Pointwise(*(np.broadcast_to(zero, (n, *grid.shape)) for n in (3, 2)))
     weights = np.broadcast_to(beta, x.shape[1:]) / (2 * np.pi * sigma**2)
-    g, gu1, gu2 = gaussians(grid.x1, grid.x2, x, sigma, weights * [np.ones_like(u[0]), *u])
-    return Pointwise(np.stack([g, np.zeros_like(g), g]), np.stack([gu1, gu2]))
+    g = gaussians(grid.x1, grid.x2, x, sigma, weights * [np.ones_like(u[0]), *u])
+    return Pointwise(np.stack([g[0], np.zeros_like(g[0]), g[0]]), g[1:])
 
 
 def edge_term(grid: Grid, motion: dict[Edge, Array], weight: float) -> Pointwise:

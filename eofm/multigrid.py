@@ -33,6 +33,10 @@ Array = NDArray[np.float64]
 COARSEST = 6
 # Largest pointwise term, over the smoothness term, for which few steps of the smoother do.
 CONTRAST = 50.0
+# The same, below which single precision does for the preconditioner: in D^-1 it costs so much
+# of its 2^24. Bending needs double precision anyway, since motions across a whole image are
+# (its side)^4 times softer than those from pixel to pixel.
+SINGLE = 1e4
 # Relative energy of motions without smoothness energy that is zero up to rounding.
 SINGULAR = 1e-13
 # Ratio of spacings below which a direction is coarsened together with the other.
@@ -65,7 +69,7 @@ def multigrid(
     max_iterations : int
         Of the conjugate gradients.
     initial : ndarray, shape (2, height, width), optional
-        Where to start, px; 0 by default.
+        Where to start, px, if its residual is smaller than that of 0.
     report : callable, optional
         Called with the number of iterations done and the relative residual, from 0 on.
 
@@ -76,34 +80,47 @@ def multigrid(
     NotConverged
         If ``max_iterations`` do not reach ``tol``.
     """
+    top, operator = hierarchy(F), finest(F)
     w1, w2 = F.grid.weights
-    r = np.outer(w2, w1) * F.terms.b * F.free
-    size = math.sqrt(np.vdot(r, r))
-    top = hierarchy(F)
-    x, p, q = np.zeros_like(top.x), np.zeros_like(top.x), top.q
+    r = F.terms.b * w1
+    r *= w2[:, None]
+    r *= F.free
+    size = _norm(r)
+    x, p, q = np.zeros_like(top.x, np.float64), np.zeros_like(top.x, np.float64), np.empty_like(r)
     if size == 0:
-        return _inner(x).copy()
+        return _inner(x)
     if initial is not None:
-        _inner(x)[...] = initial * F.free
-        stencils.product(q, x, *top.operator)
-        r -= q
-    residual, zr = math.sqrt(np.vdot(r, r)) / size, math.inf
+        np.multiply(initial, F.free, out=_inner(x))
+        stencils.product(q, x, *operator)
+        np.subtract(r, q, out=q)
+        if _norm(q) < size:
+            r[...] = q
+        else:
+            x.fill(0.0)
+        del initial  # maybe nobody else's
+    b = r.astype(top.x.dtype)
+    residual, zr = _norm(r) / size, math.inf
     for iteration in range(max_iterations + 1):
         if report is not None:
             report(iteration, residual)
         if residual <= tol:
-            return _inner(x).copy()
+            return _inner(x)
         if iteration == max_iterations:
             break
-        z = top.correct(r)
+        z = top.correct(b)
         before, zr = zr, stencils.dot(z, r).sum()
         stencils.redirect(p, z, zr / before)
-        pq = stencils.product(q, p, *top.operator).sum()
-        residual = math.sqrt(stencils.advance(x, r, p, q, zr / pq).sum()) / size
+        pq = stencils.product(q, p, *operator).sum()
+        residual = math.sqrt(stencils.advance(x, r, b, p, q, zr / pq).sum()) / size
     raise NotConverged(
         f"multigrid: relative residual {residual:.1e} instead of {tol:.1e} "
         f"after {max_iterations} iterations"
     )
+
+
+def _norm(r: Array) -> float:
+    # Without BLAS, whose sums depend on the number of threads.
+    return math.sqrt(np.einsum("cij,cij->", r, r))
 
 
 def _inner(u: Array) -> Array:
@@ -123,8 +140,6 @@ class Level:
         Steps of the smoother; corrections per correction of the finer grid.
     x, y : ndarray, shape (2, n + 4, m + 4)
         Fields, the present and the last iterate.
-    q : ndarray, shape (2, n, m)
-        K x.
     b : ndarray, shape (2, nc, mc)
         Right-hand side of the coarse grid.
     transfer : tuple
@@ -140,26 +155,26 @@ class Level:
 
     def __post_init__(self) -> None:
         n, m = self.operator[2].shape
-        self.x, self.y = np.zeros((2, 2, n + 4, m + 4))
-        self.q = np.zeros((2, n, m))
-        self.b = np.zeros((2, *(s - 4 for s in self.coarse.x.shape[1:])))
+        precision = self.operator[0].dtype
+        self.x, self.y = np.zeros((2, 2, n + 4, m + 4), precision)
+        self.b = np.empty((2, *(s - 4 for s in self.coarse.x.shape[1:])), precision)
 
     def correct(self, b: Array, visits: int = 1) -> Array:
         """Field close to K^-1 b: linear, symmetric and positive definite in b."""
-        self.x.fill(0.0)
-        for _ in range(visits):
-            self._smooth(b)
-            stencils.product(self.q, self.x, *self.operator)
-            stencils.restrict(self.b, b, self.q, *self.transfer)
+        for visit in range(visits):
+            self._smooth(b, visit == 0)
+            stencils.restrict(self.b, b, self.x, *(*self.transfer, *self.operator))
             e = self.coarse.correct(self.b, self.visits)
             stencils.prolong(self.x, e, self.operator[2], *self.transfer)
-            self._smooth(b)
+            self._smooth(b, False)
         return self.x
 
-    def _smooth(self, b: Array) -> None:
+    def _smooth(self, b: Array, from_zero: bool) -> None:
+        number = b.dtype.type
         for k in range(1, self.degree + 1):
-            c1, c2 = max(0.0, (2 * k - 3) / (2 * k + 1)), (8 * k - 4) / (2 * k + 1)
-            stencils.chebyshev(self.y, self.x, b, c1, c2, *self.operator)
+            c1, c2 = number(max(0.0, (2 * k - 3) / (2 * k + 1))), number((8 * k - 4) / (2 * k + 1))
+            first = from_zero and k == 1
+            stencils.chebyshev(self.y, self.x, b, c1, c2, first, *self.operator)
             self.x, self.y = self.y, self.x
 
 
@@ -171,29 +186,30 @@ class Coarsest:
     so far apart that the stencils around them are disjoint.
     """
 
-    def __init__(self, operator: tuple[Any, ...]) -> None:
+    def __init__(self, operator: tuple[Any, ...], precision: type = np.float64) -> None:
         free = operator[2]
         n, m = free.shape
         self.axes = (1, 2, 0) if n >= m else (2, 1, 0)
         number = np.empty((2, n, m), dtype=np.intp)
         ordered = number.transpose(self.axes)
         ordered[...] = np.arange(number.size).reshape(ordered.shape)
-        self.operator, self.x, self.q = operator, np.zeros((2, n + 4, m + 4)), np.empty((2, n, m))
+        self.x = np.zeros((2, n + 4, m + 4), precision)
+        comb, q = np.empty((2, n + 4, m + 4)), np.empty((2, n, m))
         reach = 2 if operator[-1] else 1
         step = 2 * reach + 1
         band = np.zeros((2 * reach * (min(n, m) + 1) + 2, 2 * n * m))
         i, j = np.ogrid[:n, :m]
         for c, k, l in np.ndindex(2, step, step):
-            self.x.fill(0.0)
-            _inner(self.x)[c, k::step, l::step] = free[k::step, l::step]
-            stencils.product(self.q, self.x, *operator)
+            comb.fill(0.0)
+            _inner(comb)[c, k::step, l::step] = free[k::step, l::step]
+            stencils.product(q, comb, *operator)
             tooth_i = i + (k - i + reach) % step - reach
             tooth_j = j + (l - j + reach) % step - reach
             inside = (tooth_i >= 0) & (tooth_i < n) & (tooth_j >= 0) & (tooth_j < m)
             column = number[c, tooth_i.clip(0, n - 1), tooth_j.clip(0, m - 1)]
             lower = inside & (number >= column)
             column = np.broadcast_to(column, number.shape)[lower]
-            band[number[lower] - column, column] = self.q[lower]
+            band[number[lower] - column, column] = q[lower]
         band[0, number[:, ~free]] = 1.0
         self.factor = cholesky_banded(band, lower=True, check_finite=False)
 
@@ -207,60 +223,82 @@ class Coarsest:
 
 def hierarchy(F: Quadratic) -> Level | Coarsest:
     """The finest grid, linked to the coarser ones."""
-    free = np.array(F.free, order="C")
-    bending = F.smoothness == "bending"
-    X1, X2 = _tables(free.shape, F.grid.spacing, F.alpha, bending)
-    # The diagonal of alpha R.
-    stiffness = np.outer(X2[0], X1[3]) + np.outer(X2[3], X1[0]) + np.outer(X2[7], X1[7])
-    A = np.outer(X2[0], X1[0]) * F.terms.A
+    operator = A, _, free, X1, X2, bending = finest(F)
+    # The diagonal of alpha R per area, inside of the image.
+    i, j = free.shape[0] // 2, free.shape[1] // 2
+    (m1, s1, t1), (m2, s2, t2) = X1[[0, 3, 7], j], X2[[0, 3, 7], i]
+    stiffness = s1 / m1 + s2 / m2 + t1 * t2 / (m1 * m2)
     degree, high_degree, visits = CYCLE[F.smoothness]
-    if (A[0] + A[2] > CONTRAST * stiffness)[free].any():
+    contrast = np.max(A[0] + A[2], where=free, initial=0.0) / stiffness
+    if contrast > CONTRAST:
         degree = high_degree
-    A[:, ~free] = np.array([[1.0], [0.0], [1.0]]) * stiffness[~free]
-    energies = np.linalg.eigvalsh(_rigid_energy(A, bending))
-    if not energies[0] > SINGULAR * max(energies[-1], stiffness.max()):
+    energies = np.linalg.eigvalsh(_rigid_energy(F, stiffness))
+    if not energies[0] > SINGULAR * max(energies[-1], stiffness * m1 * m2):
         raise InputError(
             "the functional has no unique minimiser: images, bubbles and edges leave a motion"
             " undetermined; give a bubble or an edge, or a smaller mask"
         )
+    precision = np.float64 if bending or contrast > SINGLE else np.float32
 
-    def grid(T: Array, free: NDArray[np.bool_], h1: float, h2: float) -> Level | Coarsest:
-        """The grid with the pointwise term T, shape (3, 3, 3, n, m) or (3, 1, 1, n, m).
-
-        T[:, 1 + a, 1 + b, i, j] couples the nodes (i, j) and (i + a, j + b).
-        """
-        n, m = free.shape
-        ahead = stencils.AHEAD if T.shape[1] == 3 else ()
-        G = np.concatenate([np.empty((0, n, m)), *(T[:, 1 + a, 1 + b] for a, b in ahead)])
-        tables = _tables(free.shape, (h1, h2), F.alpha, bending)
-        operator = (T.sum((1, 2)), G, free, *tables, bending)
+    levels = []
+    h1, h2 = map(float, F.grid.spacing)
+    while True:
+        n, m = operator[2].shape
         nc = n // 2 + 1 if h2 < ALIKE * h1 else n
         mc = m // 2 + 1 if h1 < ALIKE * h2 else m
         if min(nc, mc) < COARSEST:
-            return Coarsest(operator)
-        J1, t1, J2, t2 = transfer = (*_between(m, mc), *_between(n, nc))
-        T = stencils.coarsen(T.reshape(-1, T.shape[2], n, m), J1, t1, mc)
-        T = T.reshape(3, -1, 3, mc, n).swapaxes(1, 2)
-        T = stencils.coarsen(np.ascontiguousarray(T).reshape(9, -1, mc, n), J2, t2, nc)
-        T = np.ascontiguousarray(T.reshape(3, 3, 3, nc, mc).swapaxes(1, 2))
-        ones = np.ones((nc, mc), dtype=np.bool_)
-        coarse = grid(T, ones, h1 * (m - 1) / (mc - 1), h2 * (n - 1) / (nc - 1))
-        return Level(operator, degree, visits, transfer, coarse)
+            break
+        transfer = (*_between(m, mc), *_between(n, nc))
+        A, G = np.empty((3, nc, mc)), np.empty((12, nc, mc))
+        stencils.coarsen(A, G, *(*operator[:-1], *transfer))
+        h1, h2 = h1 * (m - 1) / (mc - 1), h2 * (n - 1) / (nc - 1)
+        X1, X2 = _tables((nc, mc), (h1, h2), F.alpha, bending)
+        A /= X1[0]
+        A /= X2[0, :, None]
+        levels.append((_rounded(operator, precision), _rounded(transfer, precision)))
+        operator = A, G, np.ones((nc, mc), dtype=np.bool_), X1, X2, bending
+    top: Level | Coarsest = Coarsest(operator, precision)
+    for operator, transfer in reversed(levels):
+        top = Level(operator, degree, visits, transfer, top)
+    return top
 
-    return grid(A[:, None, None], free, *map(float, F.grid.spacing))
+
+def _rounded(values: tuple[Any, ...], precision: type) -> tuple[Any, ...]:
+    """The same values, real numbers rounded to a precision."""
+    return tuple(
+        v.astype(precision, copy=False) if getattr(v, "dtype", None) == np.float64 else v
+        for v in values
+    )
 
 
-def _rigid_energy(A: Array, bending: bool) -> Array:
+def finest(F: Quadratic) -> tuple[Any, ...]:
+    """The operator K of a functional, see :mod:`eofm.stencils`."""
+    bending = F.smoothness == "bending"
+    tables = _tables(F.grid.shape, F.grid.spacing, F.alpha, bending)
+    A, free = np.ascontiguousarray(F.terms.A), np.ascontiguousarray(F.free)
+    return A, np.empty((0, *F.grid.shape)), free, *tables, bending
+
+
+def _rigid_energy(F: Quadratic, stiffness: float) -> Array:
     """Pointwise energy of the motions without smoothness energy, a matrix.
 
-    These are the constants (order 2) or, for bending, the linear functions (order 6).
+    These are the constants (order 2) or, for bending, the linear functions (order 6). Pixels
+    that are not free have a stiffness.
     """
-    n, m = A.shape[1:]
+    n, m = F.grid.shape
+    w1, w2 = F.grid.weights
     x, y = np.linspace(-1, 1, m), np.linspace(-1, 1, n)
     phi1, phi2 = (np.array([1 + 0 * x, x, 1 + 0 * x]), np.array([1 + 0 * y, 1 + 0 * y, y]))
-    k, l = np.indices((3, 3) if bending else (1, 1))
-    rows = np.tensordot(A, phi1[k] * phi1[l], (2, 2))
-    E11, E12, E22 = np.einsum("cikl,kli->ckl", rows, phi2[k] * phi2[l])
+    k, l = np.indices((3, 3) if F.smoothness == "bending" else (1, 1))
+    products1, products2 = w1 * phi1[k] * phi1[l], w2 * phi2[k] * phi2[l]
+
+    def energy(A: NDArray[Any]) -> Array:
+        return np.einsum("ikl,kli->kl", np.tensordot(A, products1, (1, 2)), products2)
+
+    E11, E12, E22 = map(energy, F.terms.A)
+    if not F.free.all():
+        fixed = stiffness * energy(~F.free)
+        E11, E22 = E11 + fixed, E22 + fixed
     return np.block([[E11, E12], [E12, E22]])
 
 

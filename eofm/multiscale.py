@@ -1,6 +1,7 @@
 """Coarse to fine: one driver for any solver of a linearised flow problem."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from math import ceil
 
 import numpy as np
@@ -9,7 +10,7 @@ from tqdm import tqdm
 
 from eofm.errors import InputError
 from eofm.functional import Grid
-from eofm.images import resize, resize_field
+from eofm.images import Spline, resize_field
 
 Array = NDArray[np.float64]
 
@@ -47,6 +48,24 @@ def pyramid(
         h1, h2 = (h * c for h, c in zip(spacing, coarser, strict=True))
         grids.append(Grid((rows, columns), (h1, h2)))
     return grids[::-1]
+
+
+@contextmanager
+def solving(grid: Grid, progress: bool) -> Iterator[Callable[[int, float], None]]:
+    """A ``report`` for :func:`eofm.multigrid.multigrid` that shows what takes long.
+
+    Size of the grid, iteration and residual stand below the bar of the scales, after a second
+    and if standard error is a terminal.
+    """
+    title = f"{grid.shape[0]} x {grid.shape[1]} px"
+    hidden = None if progress else True
+    with tqdm(desc=title, unit=" iterations", leave=False, delay=1, disable=hidden) as bar:
+
+        def report(iteration: int, residual: float) -> None:
+            bar.set_postfix_str(f"residual {residual:.0e}", refresh=False)
+            bar.update(iteration - bar.n)
+
+        yield report
 
 
 def coarse_to_fine(
@@ -88,7 +107,14 @@ def coarse_to_fine(
     grids = pyramid((I1.shape[0], I1.shape[1]), scales, factor, spacing)
     u = np.zeros((2, *I1.shape)) if start is None else start
     u = resize_field(u, grids[0].shape)
-    for grid in tqdm(grids, "scales", disable=None if progress else True):
-        u = resize_field(u, grid.shape)
-        u = improve(grid, resize(I1, grid.shape), resize(I2, grid.shape), u)
+    images = zip(_sampled(I1, grids), _sampled(I2, grids), strict=True)
+    bar = tqdm(grids, "scales", disable=None if progress else True)
+    for grid, (J1, J2) in zip(bar, images, strict=True):
+        u = improve(grid, J1, J2, resize_field(u, grid.shape))
     return u
+
+
+def _sampled(I: Array, grids: list[Grid]) -> list[Array]:
+    """The image on grids from coarse to fine, the last of which is its own."""
+    spline = Spline(I)
+    return [*(spline.resize(grid.shape) for grid in grids[:-1]), I]

@@ -6,15 +6,17 @@ all questions at the edges. *Functionals* (right-hand sides, ``K u``) have shape
 
 An operator K is passed as ``A, G, free, X1, X2, bending``:
 
-- ``A``, shape (3, n, m): entries 11, 12, 22 of the 2 x 2 blocks of the pointwise term,
-  times area. On coarse grids neighbouring nodes p, q are coupled too, and ``A`` is the
-  sum over each row of blocks: the pointwise energy is
-  ``sum_p u_p . A_p u_p - sum_pq (u_p - u_q) . G_pq (u_p - u_q)``;
+- ``A``, shape (3, n, m): entries 11, 12, 22 of the 2 x 2 blocks of the pointwise term, per
+  area a_p of a node p. On coarse grids neighbouring nodes p, q are coupled too, and
+  ``a_p A_p`` is the sum over each row of blocks: the pointwise energy is
+  ``sum_p a_p u_p . A_p u_p - sum_pq (u_p - u_q) . G_pq (u_p - u_q)``;
 - ``G``, shape (12, n, m): its blocks between a node and the next ones in the directions
   ``AHEAD``; shape (0, n, m) on the finest grid, where there are none;
 - ``free``, bool, shape (n, m): False where K u is not wanted;
 - ``X1``, shape (11, m), and ``X2``, shape (11, n): the tables of :func:`axis_table`;
 - ``bending``: which smoothness the tables are made for.
+
+All arrays may have single or double precision, those of one call the same one.
 
 Every row is computed by one thread, and sums over rows are left to the caller: results
 do not depend on the number of threads.
@@ -28,6 +30,8 @@ Array = NDArray[np.float64]
 
 # Rows and columns from a node to those of its eight neighbours that come after it.
 AHEAD = ((0, 1), (1, -1), (1, 0), (1, 1))
+# Rows of a coarse grid that one thread makes together.
+STRIP = 16
 # Nodes below which handing rows to threads costs more than it saves.
 SERIAL = 8192
 TWO = np.uintp(2)
@@ -105,8 +109,9 @@ def _row(s, u, i, A, G, free, X1, X2, bending):
         _smoothness(s[c], u[c], i, X1, X2, bending)
     v1, v2 = u[0, i + 2], u[1, i + 2]
     for j in range(m):
-        s[0, j] += A[0, i, j] * v1[j + 2] + A[1, i, j] * v2[j + 2]
-        s[1, j] += A[1, i, j] * v1[j + 2] + A[2, i, j] * v2[j + 2]
+        area = X2[0, i] * X1[0, j]
+        s[0, j] += area * (A[0, i, j] * v1[j + 2] + A[1, i, j] * v2[j + 2])
+        s[1, j] += area * (A[1, i, j] * v1[j + 2] + A[2, i, j] * v2[j + 2])
     for o in range(G.shape[0] // 3):
         a, b = AHEAD[o]
         p, q, size = np.uintp(max(0, -b)), np.uintp(max(0, b)), np.uintp(m - abs(b))
@@ -116,16 +121,24 @@ def _row(s, u, i, A, G, free, X1, X2, bending):
             _springs(s, u, G, o, i - a, p, i, q, i - a, p, size)
 
 
+@njit(cache=True, fastmath={"reassoc", "contract"})
+def _dot(u, q):
+    """``u . q`` of a row of a field and one of a functional: the same for any threads."""
+    total = 0.0
+    for j in range(q.size):
+        total += u[j + 2] * q[j]
+    return total
+
+
 @njit(cache=True)
 def _product_row(q, sums, u, i, A, G, free, X1, X2, bending):
-    s = np.empty((2, free.shape[1]))
+    s = np.empty((2, free.shape[1]), u.dtype)
     _row(s, u, i, A, G, free, X1, X2, bending)
-    total = 0.0
+    zero = u.dtype.type(0)
     for c in range(2):
         for j in range(free.shape[1]):
-            q[c, i, j] = s[c, j] * free[i, j]
-            total += q[c, i, j] * u[c, i + 2, j + 2]
-    sums[i] = total
+            q[c, i, j] = s[c, j] if free[i, j] else zero
+    sums[i] = _dot(u[0, i + 2], q[0, i]) + _dot(u[1, i + 2], q[1, i])
 
 
 @njit(cache=True, parallel=True)
@@ -143,74 +156,91 @@ def product(q, u, A, G, free, X1, X2, bending):
 
 
 @njit(cache=True)
-def _chebyshev_row(y, x, b, i, c1, c2, A, G, free, X1, X2, bending):
+def _chebyshev_row(y, x, b, i, c1, c2, first, A, G, free, X1, X2, bending):
     m = free.shape[1]
-    s = np.empty((2, m))
-    _row(s, x, i, A, G, free, X1, X2, bending)
+    s = np.zeros((2, m), x.dtype)
+    if not first:
+        _row(s, x, i, A, G, free, X1, X2, bending)
     x1, x2, y1, y2 = x[0, i + 2], x[1, i + 2], y[0, i + 2], y[1, i + 2]
+    zero = x.dtype.type(0)
     for j in range(m):
         bound = X2[0, i] * X1[9, j] + X2[9, i] * X1[0, j] + X2[10, i] * X1[10, j]
-        d11, d12, d22 = A[0, i, j] + bound, A[1, i, j], A[2, i, j] + bound
-        f = c2 * free[i, j] / (d11 * d22 - d12 * d12)
+        area = X2[0, i] * X1[0, j]
+        d11, d12, d22 = area * A[0, i, j] + bound, area * A[1, i, j], area * A[2, i, j] + bound
+        f = c2 / (d11 * d22 - d12 * d12) if free[i, j] else zero
         r1, r2 = b[0, i, j] - s[0, j], b[1, i, j] - s[1, j]
-        z1, z2 = x1[j + 2], x2[j + 2]
-        y1[j + 2] = z1 + c1 * (z1 - y1[j + 2]) + f * (d22 * r1 - d12 * r2)
-        y2[j + 2] = z2 + c1 * (z2 - y2[j + 2]) + f * (d11 * r2 - d12 * r1)
+        z1 = f * (d22 * r1 - d12 * r2)
+        z2 = f * (d11 * r2 - d12 * r1)
+        if first:
+            x1[j + 2], x2[j + 2], y1[j + 2], y2[j + 2] = zero, zero, z1, z2
+        else:
+            y1[j + 2] = x1[j + 2] + c1 * (x1[j + 2] - y1[j + 2]) + z1
+            y2[j + 2] = x2[j + 2] + c1 * (x2[j + 2] - y2[j + 2]) + z2
 
 
 @njit(cache=True, parallel=True)
-def chebyshev(y, x, b, c1, c2, A, G, free, X1, X2, bending):
+def chebyshev(y, x, b, c1, c2, first, A, G, free, X1, X2, bending):
     """Overwrite the field y, the iterate before x, by the iterate after it.
 
     This is ``x + c1 (x - y) + c2 D^-1 (b - K x)``, where D is A plus the sum over each row
     of ``|alpha R|``. Thus K <= D (Gershgorin for R, Jensen for the pointwise term): no
-    eigenvalue of D^-1 K exceeds 1.
+    eigenvalue of D^-1 K exceeds 1. The first step makes x zero.
     """
     if free.size < SERIAL:
         for i in range(free.shape[0]):
-            _chebyshev_row(y, x, b, i, c1, c2, A, G, free, X1, X2, bending)
+            _chebyshev_row(y, x, b, i, c1, c2, first, A, G, free, X1, X2, bending)
     else:
         for i in prange(free.shape[0]):
-            _chebyshev_row(y, x, b, i, c1, c2, A, G, free, X1, X2, bending)
+            _chebyshev_row(y, x, b, i, c1, c2, first, A, G, free, X1, X2, bending)
 
 
 @njit(cache=True)
-def _restrict_row(rc, b, q, i, J1, t1, J2, t2):
+def _restrict_strip(rc, low, b, x, J1, t1, J2, t2, A, G, free, X1, X2, bending):
     m = J1.size
-    s = np.zeros((2, m))
-    for k in range(np.searchsorted(J2, i - 1), np.searchsorted(J2, i + 1)):
-        w = 1 - t2[k] if J2[k] == i else t2[k]
+    high = min(low + STRIP, rc.shape[1])
+    top = low - 1
+    S = np.zeros((2, high - top + 1, m), b.dtype)
+    s = np.empty((2, m), b.dtype)
+    one, zero = b.dtype.type(1), b.dtype.type(0)
+    for i in range(np.searchsorted(J2, top), np.searchsorted(J2, high)):
+        _row(s, x, i, A, G, free, X1, X2, bending)
+        k = J2[i] - top
         for c in range(2):
             for j in range(m):
-                s[c, j] += w * (b[c, k, j] - q[c, k, j])
+                r = b[c, i, j] - s[c, j] if free[i, j] else zero
+                S[c, k, j] += (one - t2[i]) * r
+                S[c, k + 1, j] += t2[i] * r
     for c in range(2):
-        rc[c, i] = 0.0
-        for j in range(m):
-            rc[c, i, J1[j]] += (1 - t1[j]) * s[c, j]
-            rc[c, i, J1[j] + 1] += t1[j] * s[c, j]
+        for i in range(low, high):
+            rc[c, i] = 0
+            for j in range(m):
+                rc[c, i, J1[j]] += (one - t1[j]) * S[c, i - top, j]
+                rc[c, i, J1[j] + 1] += t1[j] * S[c, i - top, j]
 
 
 @njit(cache=True, parallel=True)
-def restrict(rc, b, q, J1, t1, J2, t2):
-    """Write to rc the transpose of the bilinear interpolation of :func:`prolong`, of b - q."""
-    if b.size < SERIAL:
-        for i in range(rc.shape[1]):
-            _restrict_row(rc, b, q, i, J1, t1, J2, t2)
+def restrict(rc, b, x, J1, t1, J2, t2, A, G, free, X1, X2, bending):
+    """Write to rc the transpose of the bilinear interpolation of :func:`prolong`, of b - K x."""
+    strips = (rc.shape[1] - 1) // STRIP + 1
+    if free.size < SERIAL:
+        for k in range(strips):
+            _restrict_strip(rc, k * STRIP, b, x, J1, t1, J2, t2, A, G, free, X1, X2, bending)
     else:
-        for i in prange(rc.shape[1]):
-            _restrict_row(rc, b, q, i, J1, t1, J2, t2)
+        for k in prange(strips):
+            _restrict_strip(rc, k * STRIP, b, x, J1, t1, J2, t2, A, G, free, X1, X2, bending)
 
 
 @njit(cache=True)
 def _prolong_row(x, e, free, i, J1, t1, J2, t2):
-    s = np.empty(e.shape[2])
+    s = np.empty(e.shape[2], e.dtype)
+    one, zero = e.dtype.type(1), e.dtype.type(0)
     for c in range(2):
         upper, lower = e[c, J2[i] + 2], e[c, J2[i] + 3]
         for j in range(s.size):
-            s[j] = (1 - t2[i]) * upper[j] + t2[i] * lower[j]
+            s[j] = (one - t2[i]) * upper[j] + t2[i] * lower[j]
         for j in range(J1.size):
-            v = (1 - t1[j]) * s[J1[j] + 2] + t1[j] * s[J1[j] + 3]
-            x[c, i + 2, j + 2] += v * free[i, j]
+            v = (one - t1[j]) * s[J1[j] + 2] + t1[j] * s[J1[j] + 3]
+            x[c, i + 2, j + 2] += v if free[i, j] else zero
 
 
 @njit(cache=True, parallel=True)
@@ -228,61 +258,131 @@ def prolong(x, e, free, J1, t1, J2, t2):
             _prolong_row(x, e, free, i, J1, t1, J2, t2)
 
 
-@njit(cache=True, parallel=True)
-def coarsen(T, J, t, nc):
-    """Galerkin product ``P^T T P`` along the last axis, moved one axis forward.
+@njit(cache=True)
+def _share_node(S, i, j, t1, t2, a11, a12, a22):
+    """Share the term A of a node among the corners (i, j) to (i + 1, j + 1) of a cell.
 
-    T, shape (K, 3 or 1, n, m), holds K sets of bands -1..1 (or the band 0 alone) along the
-    last axis; the result, shape (K, 3, nc, n), those of the nc nodes of the coarse axis. On
-    grids that are not nested the product can couple next but one neighbours: we move this
-    to the diagonal, which keeps the sums over rows and can only stiffen the energy.
+    The sum of its weights w being 1, ``(sum_k w_k u_k) . A (sum_k w_k u_k)`` is
+    ``sum_k w_k u_k . A u_k - sum_kl w_k w_l (u_k - u_l) . A (u_k - u_l)``.
     """
-    K, bands, n, m = T.shape
-    out = np.empty((K, 3, nc, n))
-    for i in prange(n):
-        for k in range(K):
-            s = np.zeros((5, nc))  # bands -2..2
-            for b in range(bands):
-                shift = b - bands // 2
-                for j in range(max(0, -shift), m - max(0, shift)):
-                    v, p, q = T[k, b, i, j], t[j], t[j + shift]
-                    d = 2 + J[j + shift] - J[j]
-                    s[d, J[j]] += (1 - p) * (1 - q) * v
-                    s[d + 1, J[j]] += (1 - p) * q * v
-                    s[d - 1, J[j] + 1] += p * (1 - q) * v
-                    s[d, J[j] + 1] += p * q * v
-            s[2] += s[0] + s[4]
-            out[k, :, :, i] = s[1:4]
-    return out
+    p, q, r, s = (1 - t2) * (1 - t1), (1 - t2) * t1, t2 * (1 - t1), t2 * t1
+    for c, a in enumerate((a11, a12, a22)):
+        S[c, i, j] += p * a
+        S[c, i, j + 1] += q * a
+        S[c, i + 1, j] += r * a
+        S[c, i + 1, j + 1] += s * a
+        S[3 + c, i, j] += p * q * a
+        S[3 + c, i + 1, j] += r * s * a
+        S[6 + c, i, j + 1] += q * r * a
+        S[9 + c, i, j] += p * r * a
+        S[9 + c, i, j + 1] += q * s * a
+        S[12 + c, i, j] += p * s * a
+
+
+@njit(cache=True)
+def _share_spring(S, i, j, p1, p2, q1, q2, g11, g12, g22):
+    """Share the term G of two nodes, with weights p and q, among the coarse ones around them.
+
+    The sum of the differences d = p - q being 0, ``(sum_k d_k u_k) . G (sum_k d_k u_k)`` is
+    ``-sum_kl d_k d_l (u_k - u_l) . G (u_k - u_l)``.
+    """
+    for k in range(3):
+        for l in range(3):
+            d = p2[k] * p1[l] - q2[k] * q1[l]
+            if d == 0:
+                continue
+            for o in range(4):
+                a, b = AHEAD[o]
+                if k + a > 2 or l + b > 2 or l + b < 0:
+                    continue
+                f = -d * (p2[k + a] * p1[l + b] - q2[k + a] * q1[l + b])
+                S[3 + 3 * o, i + k, j + l] += f * g11
+                S[4 + 3 * o, i + k, j + l] += f * g12
+                S[5 + 3 * o, i + k, j + l] += f * g22
+
+
+@njit(cache=True)
+def _around(w, J, t, start):
+    """Weights of the three coarse nodes from ``start`` on."""
+    w[:] = 0
+    w[J - start] = 1 - t
+    w[J - start + 1] = t
+
+
+@njit(cache=True)
+def _coarsen_strip(Ac, Gc, low, A, G, free, X1, X2, J1, t1, J2, t2):
+    n, m = free.shape
+    nc, mc = Ac.shape[1:]
+    high = min(low + STRIP, nc)
+    top = low - 2
+    S = np.zeros((15, high - top + 2, mc + 1))
+    p1, p2, q1, q2 = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for i in range(np.searchsorted(J2, top), np.searchsorted(J2, high)):
+        I = J2[i] - top
+        for j in range(m):
+            if free[i, j]:
+                f = X2[0, i] * X1[0, j]
+                a11, a12, a22 = f * A[0, i, j], f * A[1, i, j], f * A[2, i, j]
+            else:
+                f = X2[0, i] * X1[3, j] + X2[3, i] * X1[0, j] + X2[7, i] * X1[7, j]
+                a11, a12, a22 = f, 0.0, f
+            _share_node(S, I, J1[j], t1[j], t2[i], a11, a12, a22)
+        for o in range(G.shape[0] // 3):
+            a, b = AHEAD[o]
+            if i + a == n:
+                continue
+            _around(p2, J2[i], t2[i], J2[i])
+            _around(q2, J2[i + a], t2[i + a], J2[i])
+            for j in range(max(0, -b), m - max(0, b)):
+                J = min(J1[j], J1[j + b])
+                _around(p1, J1[j], t1[j], J)
+                _around(q1, J1[j + b], t1[j + b], J)
+                g11, g12, g22 = G[3 * o, i, j], G[3 * o + 1, i, j], G[3 * o + 2, i, j]
+                _share_spring(S, I, J, p1, p2, q1, q2, g11, g12, g22)
+    S = S[:, low - top : high - top, :mc]
+    Ac[:, low:high] = S[:3]
+    Gc[:, low:high] = S[3:]
 
 
 @njit(cache=True, parallel=True)
-def advance(x, r, p, q, step):
-    """``x += step p``, ``r -= step q``; return ``r . r`` summed over each row."""
-    n, m = r.shape[1:]
-    sums = np.empty(n)
-    for i in prange(n):
-        total = 0.0
-        for c in range(2):
-            for j in range(m):
-                x[c, i + 2, j + 2] += step * p[c, i + 2, j + 2]
-                r[c, i, j] -= step * q[c, i, j]
-                total += r[c, i, j] ** 2
-        sums[i] = total
+def coarsen(Ac, Gc, A, G, free, X1, X2, J1, t1, J2, t2):
+    """Write the Galerkin product of the pointwise term with bilinear interpolation.
+
+    ``Ac`` is not divided by area yet. Nodes that are not free are as stiff as the smoothness
+    term. On grids that are not nested the product can couple next but one neighbours: we
+    leave these out, which keeps the sums over rows and can only stiffen the energy.
+    """
+    for strip in prange((Ac.shape[1] - 1) // STRIP + 1):
+        _coarsen_strip(Ac, Gc, strip * STRIP, A, G, free, X1, X2, J1, t1, J2, t2)
+
+
+@njit(cache=True, fastmath={"reassoc", "contract"})
+def _advance_row(x, r, b, p, q, step, i):
+    total = 0.0
+    for c in range(2):
+        for j in range(r.shape[2]):
+            x[c, i + 2, j + 2] += step * p[c, i + 2, j + 2]
+            r[c, i, j] -= step * q[c, i, j]
+            b[c, i, j] = r[c, i, j]
+            total += r[c, i, j] ** 2
+    return total
+
+
+@njit(cache=True, parallel=True)
+def advance(x, r, b, p, q, step):
+    """``x += step p``, ``r -= step q``, ``b = r``; return ``r . r`` summed over each row."""
+    sums = np.empty(r.shape[1])
+    for i in prange(r.shape[1]):
+        sums[i] = _advance_row(x, r, b, p, q, step, i)
     return sums
 
 
 @njit(cache=True, parallel=True)
 def dot(z, r):
     """``z . r`` of a field and a functional, summed over each row, shape (n,)."""
-    n, m = r.shape[1:]
-    sums = np.empty(n)
-    for i in prange(n):
-        total = 0.0
-        for c in range(2):
-            for j in range(m):
-                total += z[c, i + 2, j + 2] * r[c, i, j]
-        sums[i] = total
+    sums = np.empty(r.shape[1])
+    for i in prange(r.shape[1]):
+        sums[i] = _dot(z[0, i + 2], r[0, i]) + _dot(z[1, i + 2], r[1, i])
     return sums
 
 

@@ -1,11 +1,22 @@
+import numba
 import numpy as np
 import pytest
 from conftest import speckle
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import ndimage
 
 from eofm.errors import InputError
-from eofm.images import evaluate, gaussians, gradient, inside, normalise, resize, warp
+from eofm.images import (
+    Spline,
+    evaluate,
+    gaussians,
+    gradient,
+    inside,
+    normalise,
+    resize,
+    warp,
+)
 
 
 def test_normalise_uses_one_map_for_both(rng):
@@ -111,3 +122,75 @@ def test_gaussians_agree_with_the_dense_sum(count, sigma, seed):
 def test_evaluate_outside_takes_the_border_value(rng):
     I = rng.normal(size=(7, 9))
     assert evaluate(I, np.array([[-3.0], [0.0]]))[0] == pytest.approx(I[0, 0])
+
+
+SHAPES = [(2, 2), (3, 5), (40, 57), (131, 90)]
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_spline_is_that_of_scipy(shape, rng):
+    """Small images are filtered as a whole, large ones in strips by several threads."""
+    I = rng.normal(size=shape)
+    u = rng.normal(size=(2, *shape))
+    x = u + np.mgrid[: shape[0], : shape[1]][::-1]
+    spline = Spline(I)
+    values, kept = spline.warp(u)
+    expected = ndimage.map_coordinates(
+        ndimage.spline_filter(I, mode="mirror"), x[::-1], mode="mirror", prefilter=False
+    )
+    np.testing.assert_array_equal(kept, inside(shape, x))
+    np.testing.assert_allclose(values[kept], expected[kept], atol=1e-13)
+    np.testing.assert_allclose(spline.evaluate(x), values, atol=1e-13)
+    for axis, g in enumerate(spline.gradient()[::-1]):
+        c = ndimage.spline_filter1d(I, axis=axis, mode="mirror")
+        slope = ndimage.correlate1d(c, [-0.5, 0, 0.5], axis, mode="mirror")
+        np.testing.assert_allclose(g, slope, atol=1e-12)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_gradient_of_a_warped_image_is_that_of_its_spline(shape, rng):
+    spline = Spline(rng.normal(size=shape))
+    u = rng.uniform(-0.4, 0.4, size=(2, *shape))
+    values, g, kept = spline.warp_with_gradient(u, (2.0, 0.5))
+    np.testing.assert_array_equal(values, spline.warp(u)[0])
+    np.testing.assert_allclose(
+        spline.warp_with_gradient(0 * u, (2.0, 0.5))[1], spline.gradient((2.0, 0.5)), atol=1e-12
+    )
+    d, g = 1e-5, g * np.reshape((2.0, 0.5), (2, 1, 1))
+    for component, step in zip(g, np.reshape([[d, 0], [0, d]], (2, 2, 1, 1)), strict=True):
+        (ahead, seen1), (behind, seen2) = spline.warp(u + step), spline.warp(u - step)
+        use = kept & seen1 & seen2
+        np.testing.assert_allclose(component[use], (ahead - behind)[use] / (2 * d), atol=1e-8)
+
+
+@pytest.mark.parametrize("shape", [(30, 41), (61, 33), (90, 17), (8, 9)])
+def test_resize_is_blur_and_spline(shape, rng):
+    I = rng.normal(size=(61, 33))
+    factors = [60 / (shape[0] - 1), 32 / (shape[1] - 1)]
+    blur = [0.5 * np.sqrt(max(f**2 - 1, 0)) for f in factors]
+    c = ndimage.spline_filter(ndimage.gaussian_filter(I, blur, mode="mirror"), mode="mirror")
+    x = [np.arange(n) * f for n, f in zip(shape, factors, strict=True)]
+    expected = ndimage.map_coordinates(
+        c, np.meshgrid(*x, indexing="ij"), mode="mirror", prefilter=False
+    )
+    np.testing.assert_allclose(resize(I, shape), expected, atol=1e-12)
+
+
+def test_same_bytes_with_one_and_two_threads(rng):
+    if numba.config.NUMBA_NUM_THREADS < 2:
+        pytest.skip("one processor")
+    I, u = rng.normal(size=(131, 170)), rng.normal(size=(2, 131, 170))
+    centres, weights = rng.uniform(0, 140, (2, 200)), rng.normal(size=(1, 200))
+    x1, x2 = np.arange(170.0), np.arange(131.0)
+    before = numba.get_num_threads()
+    try:
+        results = []
+        for threads in (1, 2):
+            numba.set_num_threads(threads)
+            spline = Spline(I)
+            arrays = *spline.warp_with_gradient(u), spline.gradient(), spline.resize((140, 80))
+            arrays += (gaussians(x1, x2, centres, 3.0, weights),)
+            results.append([a.tobytes() for a in arrays])
+    finally:
+        numba.set_num_threads(before)
+    assert results[0] == results[1]
