@@ -18,7 +18,7 @@ from skimage.segmentation import watershed
 
 from eofm.config import Tracking
 from eofm.errors import InputError
-from eofm.images import ORDER, evaluate_field, gradient, inside, normalise
+from eofm.images import evaluate_field, gradient, inside, normalise
 
 Array = NDArray[np.float64]
 
@@ -252,13 +252,11 @@ def _assign(
 
 def _spline(I: Array) -> Array:
     """Coefficients of the spline that `eofm.images.evaluate` makes anew in each call."""
-    return ndimage.spline_filter(np.pad(I, PAD, mode="edge"), ORDER, mode="nearest")
+    return ndimage.spline_filter(np.pad(I, PAD, mode="edge"), mode="nearest")
 
 
 def _values(spline: Array, x: Array) -> Array:
-    return ndimage.map_coordinates(
-        spline, x[::-1] + PAD, order=ORDER, mode="nearest", prefilter=False
-    )
+    return ndimage.map_coordinates(spline, x[::-1] + PAD, mode="nearest", prefilter=False)
 
 
 def _correlation(p: Array, q: Array, w: Array) -> Array:

@@ -10,18 +10,14 @@ strains, scatterers inside of a resolution cell change their relative phases, an
 from typing import NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from eofm.config import VirtualOct
 from eofm.errors import InputError
-from eofm.images import evaluate_field
+from eofm.images import evaluate_field, gaussians
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-
-# Point-spread functions are cut off where their amplitude is exp(-8).
-REACH = 4.0
 
 
 class Scatterers(NamedTuple):
@@ -143,20 +139,16 @@ def widths(settings: VirtualOct) -> tuple[float, float]:
 def echoes(scatterers: Scatterers, rows: Array, columns: Array, settings: VirtualOct) -> Complex:
     """Coherent sum of the echoes at the pixels, shape (height, width), free of noise.
 
-    The point-spread function is a product, so the image is a product of two sparse
-    matrices of its axial and lateral factors; the time is linear in the scatterers.
+    In units of the point-spread function's widths it is a round Gaussian.
     """
     x1, x2 = scatterers.x
     depth = x2 * settings.pixel_size
     phase = 4 * np.pi * settings.refractive_index / settings.wavelength * depth
-    attenuation = np.exp(-settings.attenuation * depth / 1000)
-    echo = scatterers.amplitude * attenuation * np.exp(1j * phase)
+    echo = scatterers.amplitude * np.exp(-settings.attenuation * depth / 1000)
     w1, w2 = widths(settings)
-    lateral, axial = (
-        _factor(x1 - columns[0], len(columns), w1),
-        _factor(x2 - rows[0], len(rows), w2),
-    )
-    return (axial.multiply(echo).tocsr() @ lateral.T.tocsr()).toarray()
+    parts = np.stack([echo * np.cos(phase), echo * np.sin(phase)])
+    real, imaginary = gaussians(columns / w1, rows / w2, np.stack([x1 / w1, x2 / w2]), 1.0, parts)
+    return real + 1j * imaginary
 
 
 def add_noise(A: Complex, rng: np.random.Generator, settings: VirtualOct) -> Complex:
@@ -171,13 +163,3 @@ def compress(A: Complex, settings: VirtualOct) -> Array:
     with np.errstate(divide="ignore"):
         level = 20 * np.log10(np.abs(A))
     return np.clip((level - low) / (high - low), 0, 1)
-
-
-def _factor(x: Array, n: int, w: float) -> sp.csc_array:
-    """Gaussians about the points ``x`` at the samples 0 to n - 1, shape (n, N)."""
-    reach = int(np.ceil(REACH * w))
-    samples = np.rint(x).astype(int)[:, None] + np.arange(-reach, reach + 1)
-    values = np.exp(-((samples - x[:, None]) ** 2) / (2 * w**2))
-    seen = (samples >= 0) & (samples < n)
-    ends = np.concatenate([[0], np.cumsum(seen.sum(1))])
-    return sp.csc_array((values[seen], samples[seen], ends), shape=(n, len(x)))
