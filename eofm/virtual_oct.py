@@ -19,6 +19,10 @@ from eofm.images import evaluate_field, gaussians
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+# Scatterers whose echoes are summed at once, and the widths of a Gaussian as it is cut off.
+AT_ONCE = 2**17
+REACH = 6.0
+
 
 class Scatterers(NamedTuple):
     """Scatterers of the sample: the many of its matrix first, then the strong ones.
@@ -120,6 +124,8 @@ def fill(shape: tuple[int, int], settings: VirtualOct) -> Scatterers:
     sides = np.array(shape[::-1]) - 1.0
     count = round(settings.density * sides.prod() / (np.pi * np.prod(widths(settings))))
     x = weak.uniform(0, sides, (count, 2)), strong.uniform(0, sides, (settings.reflectors, 2))
+    # By depth: what follows touches a few rows of the images at a time.
+    x = x[0][np.argsort(x[0][:, 1], kind="stable")], x[1]
     # The mean intensity is then int |psf|^2 / (pi w1 w2) = 1.
     matrix = np.full(count, settings.density**-0.5)
     level = strong.uniform(*settings.reflector_level, settings.reflectors)
@@ -141,14 +147,20 @@ def echoes(scatterers: Scatterers, rows: Array, columns: Array, settings: Virtua
 
     In units of the point-spread function's widths it is a round Gaussian.
     """
-    x1, x2 = scatterers.x
-    depth = x2 * settings.pixel_size
-    phase = 4 * np.pi * settings.refractive_index / settings.wavelength * depth
-    echo = scatterers.amplitude * np.exp(-settings.attenuation * depth / 1000)
     w1, w2 = widths(settings)
-    parts = np.stack([echo * np.cos(phase), echo * np.sin(phase)])
-    real, imaginary = gaussians(columns / w1, rows / w2, np.stack([x1 / w1, x2 / w2]), 1.0, parts)
-    return real + 1j * imaginary
+    image = np.zeros((len(rows), len(columns)), dtype=np.complex128)
+    for start in range(0, scatterers.x.shape[1], AT_ONCE):
+        x1, x2 = scatterers.x[:, start : start + AT_ONCE]
+        depth = x2 * settings.pixel_size
+        phase = 4 * np.pi * settings.refractive_index / settings.wavelength * depth
+        echo = scatterers.amplitude[start : start + AT_ONCE]
+        echo = echo * np.exp(-settings.attenuation * depth / 1000)
+        parts = np.stack([echo * np.cos(phase), echo * np.sin(phase)])
+        seen = slice(*np.searchsorted(rows, [x2.min() - REACH * w2, x2.max() + REACH * w2]))
+        centres = np.stack([x1 / w1, x2 / w2])
+        real, imaginary = gaussians(columns / w1, rows[seen] / w2, centres, 1.0, parts)
+        image[seen] += real + 1j * imaginary
+    return image
 
 
 def add_noise(A: Complex, rng: np.random.Generator, settings: VirtualOct) -> Complex:
