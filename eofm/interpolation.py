@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit, prange
 
 # Pixels below which handing rows to threads costs more than it saves.
-SERIAL = 8192
+SERIAL = 2**16
 # The recursive filter that turns samples into coefficients: its pole, and where the powers
 # of the pole are zero up to rounding.
 POLE = math.sqrt(3) - 2

@@ -33,7 +33,7 @@ AHEAD = ((0, 1), (1, -1), (1, 0), (1, 1))
 # Rows of a coarse grid that one thread makes together.
 STRIP = 16
 # Nodes below which handing rows to threads costs more than it saves.
-SERIAL = 8192
+SERIAL = 2**16
 TWO = np.uintp(2)
 
 
@@ -259,33 +259,34 @@ def prolong(x, e, free, J1, t1, J2, t2):
 
 
 @njit(cache=True)
-def _share_node(S, i, j, t1, t2, a11, a12, a22):
-    """Share the term A of a node among the corners (i, j) to (i + 1, j + 1) of a cell.
+def _share(S, c, i, j, w, a):
+    """Share entry c of the term A of a node among the corners of its cell, by their weights."""
+    S[c, i, j] += w[0] * a
+    S[c, i, j + 1] += w[1] * a
+    S[c, i + 1, j] += w[2] * a
+    S[c, i + 1, j + 1] += w[3] * a
 
-    The sum of its weights w being 1, ``(sum_k w_k u_k) . A (sum_k w_k u_k)`` is
-    ``sum_k w_k u_k . A u_k - sum_kl w_k w_l (u_k - u_l) . A (u_k - u_l)``.
+
+@njit(cache=True)
+def _couple(S, c, i, j, w, a):
+    """Couple the corners (i, j) to (i + 1, j + 1) of a cell by the products of their weights.
+
+    If the sum of the weights w is 1, ``(sum_k w_k u_k) . A (sum_k w_k u_k)`` is
+    ``sum_k w_k u_k . A u_k - sum_kl w_k w_l (u_k - u_l) . A (u_k - u_l)``, and if it is 0,
+    the last sum alone. c is the entry of A.
     """
-    p, q, r, s = (1 - t2) * (1 - t1), (1 - t2) * t1, t2 * (1 - t1), t2 * t1
-    for c, a in enumerate((a11, a12, a22)):
-        S[c, i, j] += p * a
-        S[c, i, j + 1] += q * a
-        S[c, i + 1, j] += r * a
-        S[c, i + 1, j + 1] += s * a
-        S[3 + c, i, j] += p * q * a
-        S[3 + c, i + 1, j] += r * s * a
-        S[6 + c, i, j + 1] += q * r * a
-        S[9 + c, i, j] += p * r * a
-        S[9 + c, i, j + 1] += q * s * a
-        S[12 + c, i, j] += p * s * a
+    p, q, r, s = w
+    S[3 + c, i, j] += p * q * a
+    S[3 + c, i + 1, j] += r * s * a
+    S[6 + c, i, j + 1] += q * r * a
+    S[9 + c, i, j] += p * r * a
+    S[9 + c, i, j + 1] += q * s * a
+    S[12 + c, i, j] += p * s * a
 
 
 @njit(cache=True)
 def _share_spring(S, i, j, p1, p2, q1, q2, g11, g12, g22):
-    """Share the term G of two nodes, with weights p and q, among the coarse ones around them.
-
-    The sum of the differences d = p - q being 0, ``(sum_k d_k u_k) . G (sum_k d_k u_k)`` is
-    ``-sum_kl d_k d_l (u_k - u_l) . G (u_k - u_l)``.
-    """
+    """Share the term G of two nodes, with weights p and q, among 3 x 3 coarse ones."""
     for k in range(3):
         for l in range(3):
             d = p2[k] * p1[l] - q2[k] * q1[l]
@@ -302,11 +303,9 @@ def _share_spring(S, i, j, p1, p2, q1, q2, g11, g12, g22):
 
 
 @njit(cache=True)
-def _around(w, J, t, start):
+def _around(J, t, start):
     """Weights of the three coarse nodes from ``start`` on."""
-    w[:] = 0
-    w[J - start] = 1 - t
-    w[J - start + 1] = t
+    return (1 - t, t, 0.0) if start == J else (0.0, 1 - t, t)
 
 
 @njit(cache=True)
@@ -316,7 +315,6 @@ def _coarsen_strip(Ac, Gc, low, A, G, free, X1, X2, J1, t1, J2, t2):
     high = min(low + STRIP, nc)
     top = low - 2
     S = np.zeros((15, high - top + 2, mc + 1))
-    p1, p2, q1, q2 = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for i in range(np.searchsorted(J2, top), np.searchsorted(J2, high)):
         I = J2[i] - top
         for j in range(m):
@@ -326,19 +324,32 @@ def _coarsen_strip(Ac, Gc, low, A, G, free, X1, X2, J1, t1, J2, t2):
             else:
                 f = X2[0, i] * X1[3, j] + X2[3, i] * X1[0, j] + X2[7, i] * X1[7, j]
                 a11, a12, a22 = f, 0.0, f
-            _share_node(S, I, J1[j], t1[j], t2[i], a11, a12, a22)
+            p, q = 1 - t1[j], t1[j]
+            w = (1 - t2[i]) * p, (1 - t2[i]) * q, t2[i] * p, t2[i] * q
+            _share(S, 0, I, J1[j], w, a11)
+            _share(S, 1, I, J1[j], w, a12)
+            _share(S, 2, I, J1[j], w, a22)
+            _couple(S, 0, I, J1[j], w, a11)
+            _couple(S, 1, I, J1[j], w, a12)
+            _couple(S, 2, I, J1[j], w, a22)
         for o in range(G.shape[0] // 3):
             a, b = AHEAD[o]
             if i + a == n:
                 continue
-            _around(p2, J2[i], t2[i], J2[i])
-            _around(q2, J2[i + a], t2[i + a], J2[i])
+            p2, q2 = _around(J2[i], t2[i], J2[i]), _around(J2[i + a], t2[i + a], J2[i])
             for j in range(max(0, -b), m - max(0, b)):
                 J = min(J1[j], J1[j + b])
-                _around(p1, J1[j], t1[j], J)
-                _around(q1, J1[j + b], t1[j + b], J)
+                p1, q1 = _around(J1[j], t1[j], J), _around(J1[j + b], t1[j + b], J)
                 g11, g12, g22 = G[3 * o, i, j], G[3 * o + 1, i, j], G[3 * o + 2, i, j]
-                _share_spring(S, I, J, p1, p2, q1, q2, g11, g12, g22)
+                if q2[2] == 0 and p1[2] == 0 and q1[2] == 0:  # in one cell
+                    upper = p2[0] * p1[0] - q2[0] * q1[0], p2[0] * p1[1] - q2[0] * q1[1]
+                    lower = p2[1] * p1[0] - q2[1] * q1[0], p2[1] * p1[1] - q2[1] * q1[1]
+                    d = (*upper, *lower)
+                    _couple(S, 0, I, J, d, -g11)
+                    _couple(S, 1, I, J, d, -g12)
+                    _couple(S, 2, I, J, d, -g22)
+                else:
+                    _share_spring(S, I, J, p1, p2, q1, q2, g11, g12, g22)
     S = S[:, low - top : high - top, :mc]
     Ac[:, low:high] = S[:3]
     Gc[:, low:high] = S[3:]
@@ -352,8 +363,13 @@ def coarsen(Ac, Gc, A, G, free, X1, X2, J1, t1, J2, t2):
     term. On grids that are not nested the product can couple next but one neighbours: we
     leave these out, which keeps the sums over rows and can only stiffen the energy.
     """
-    for strip in prange((Ac.shape[1] - 1) // STRIP + 1):
-        _coarsen_strip(Ac, Gc, strip * STRIP, A, G, free, X1, X2, J1, t1, J2, t2)
+    strips = (Ac.shape[1] - 1) // STRIP + 1
+    if free.size < SERIAL:
+        for k in range(strips):
+            _coarsen_strip(Ac, Gc, k * STRIP, A, G, free, X1, X2, J1, t1, J2, t2)
+    else:
+        for k in prange(strips):
+            _coarsen_strip(Ac, Gc, k * STRIP, A, G, free, X1, X2, J1, t1, J2, t2)
 
 
 @njit(cache=True, fastmath={"reassoc", "contract"})
@@ -372,8 +388,12 @@ def _advance_row(x, r, b, p, q, step, i):
 def advance(x, r, b, p, q, step):
     """``x += step p``, ``r -= step q``, ``b = r``; return ``r . r`` summed over each row."""
     sums = np.empty(r.shape[1])
-    for i in prange(r.shape[1]):
-        sums[i] = _advance_row(x, r, b, p, q, step, i)
+    if r.size < SERIAL:
+        for i in range(r.shape[1]):
+            sums[i] = _advance_row(x, r, b, p, q, step, i)
+    else:
+        for i in prange(r.shape[1]):
+            sums[i] = _advance_row(x, r, b, p, q, step, i)
     return sums
 
 
@@ -381,15 +401,28 @@ def advance(x, r, b, p, q, step):
 def dot(z, r):
     """``z . r`` of a field and a functional, summed over each row, shape (n,)."""
     sums = np.empty(r.shape[1])
-    for i in prange(r.shape[1]):
-        sums[i] = _dot(z[0, i + 2], r[0, i]) + _dot(z[1, i + 2], r[1, i])
+    if r.size < SERIAL:
+        for i in range(r.shape[1]):
+            sums[i] = _dot(z[0, i + 2], r[0, i]) + _dot(z[1, i + 2], r[1, i])
+    else:
+        for i in prange(r.shape[1]):
+            sums[i] = _dot(z[0, i + 2], r[0, i]) + _dot(z[1, i + 2], r[1, i])
     return sums
+
+
+@njit(cache=True)
+def _redirect_row(p, z, beta, i):
+    for c in range(2):
+        for j in range(p.shape[2]):
+            p[c, i, j] = z[c, i, j] + beta * p[c, i, j]
 
 
 @njit(cache=True, parallel=True)
 def redirect(p, z, beta):
     """``p = z + beta p`` for fields."""
-    for i in prange(p.shape[1]):
-        for c in range(2):
-            for j in range(p.shape[2]):
-                p[c, i, j] = z[c, i, j] + beta * p[c, i, j]
+    if p.size < SERIAL:
+        for i in range(p.shape[1]):
+            _redirect_row(p, z, beta, i)
+    else:
+        for i in prange(p.shape[1]):
+            _redirect_row(p, z, beta, i)

@@ -124,7 +124,7 @@ def test_evaluate_outside_takes_the_border_value(rng):
     assert evaluate(I, np.array([[-3.0], [0.0]]))[0] == pytest.approx(I[0, 0])
 
 
-SHAPES = [(2, 2), (3, 5), (40, 57), (131, 90)]
+SHAPES = [(2, 2), (3, 5), (40, 57), (301, 240)]
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -179,16 +179,16 @@ def test_resize_is_blur_and_spline(shape, rng):
 def test_same_bytes_with_one_and_two_threads(rng):
     if numba.config.NUMBA_NUM_THREADS < 2:
         pytest.skip("one processor")
-    I, u = rng.normal(size=(131, 170)), rng.normal(size=(2, 131, 170))
+    I, u = rng.normal(size=(301, 240)), rng.normal(size=(2, 301, 240))
     centres, weights = rng.uniform(0, 140, (2, 200)), rng.normal(size=(1, 200))
-    x1, x2 = np.arange(170.0), np.arange(131.0)
+    x1, x2 = np.arange(240.0), np.arange(301.0)
     before = numba.get_num_threads()
     try:
         results = []
         for threads in (1, 2):
             numba.set_num_threads(threads)
             spline = Spline(I)
-            arrays = *spline.warp_with_gradient(u), spline.gradient(), spline.resize((140, 80))
+            arrays = *spline.warp_with_gradient(u), spline.gradient(), spline.resize((320, 230))
             arrays += (gaussians(x1, x2, centres, 3.0, weights),)
             results.append([a.tobytes() for a in arrays])
     finally:

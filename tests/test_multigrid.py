@@ -159,7 +159,7 @@ def test_coarse_grid_has_the_energy_of_what_it_interpolates(shape):
 def test_same_bytes_with_one_and_two_threads(smoothness):
     if numba.config.NUMBA_NUM_THREADS < 2:
         pytest.skip("one processor")
-    F = problem((101, 130), smoothness, image="bubbles")
+    F = problem((301, 240), smoothness, image="bubbles")
     before = numba.get_num_threads()
     try:
         results = []
