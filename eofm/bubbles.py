@@ -18,7 +18,7 @@ from skimage.segmentation import watershed
 
 from eofm.config import Tracking
 from eofm.errors import InputError
-from eofm.images import evaluate_field, gradient, inside, normalise
+from eofm.images import Spline, evaluate_field, gradient, inside, normalise
 
 Array = NDArray[np.float64]
 
@@ -33,9 +33,6 @@ UNMATCHED = 1.0
 # samples of windows that are registered at once (their memory).
 ASSIGNED = 500
 SAMPLES = 2**17
-
-# Samples by which an image is continued beyond its border before it becomes a spline.
-PAD = 12
 
 
 def track(
@@ -200,18 +197,18 @@ def register(
     reach = int(np.ceil(3 * window))
     offsets = np.mgrid[-reach : reach + 1, -reach : reach + 1][::-1].reshape(2, 1, -1)
     at_once = max(1, SAMPLES // offsets[0].size)
-    splines = [_spline(I) for I in (I1, I2, *gradient(I2))]
+    splines = [Spline(I) for I in (I1, I2, *gradient(I2))]
     motion, quality = motion.copy(), np.empty(x.shape[1])
     for start in range(0, x.shape[1], at_once):
         some = np.s_[start : start + at_once]
         y = x[:, some, None] + offsets
         weight = np.exp(-(offsets**2).sum(0) / (2 * window**2)) * inside(I1.shape, y)
-        reference = _values(splines[0], y)
+        reference = splines[0].evaluate(y)
         for _ in range(iterations):
             moved = y + motion[:, some, None]
             w = weight * inside(I2.shape, moved)
-            difference = _values(splines[1], moved) - reference
-            g = np.stack([_values(c, moved) for c in splines[2:]])
+            difference = splines[1].evaluate(moved) - reference
+            g = np.stack([c.evaluate(moved) for c in splines[2:]])
             A = np.einsum("ikp,jkp,kp->kij", g, g, w)
             # Windows with one direction of contrast only stay where they are in the other.
             A += (1e-3 * np.trace(A, axis1=1, axis2=2) + 1e-12)[:, None, None] * np.eye(2)
@@ -219,7 +216,7 @@ def register(
             motion[:, some] += np.clip(step[..., 0].T, -0.5, 0.5)
         moved = y + motion[:, some, None]
         w = weight * inside(I2.shape, moved)
-        quality[some] = _correlation(reference, _values(splines[1], moved), w)
+        quality[some] = _correlation(reference, splines[1].evaluate(moved), w)
     return motion, quality
 
 
@@ -248,15 +245,6 @@ def _assign(
     part = sparse.csr_array((part.data, index, part.indptr), shape=(len(rows), len(columns)))
     i, j = min_weight_full_bipartite_matching(part)
     return rows[i], columns[j]
-
-
-def _spline(I: Array) -> Array:
-    """Coefficients of the spline that `eofm.images.evaluate` makes anew in each call."""
-    return ndimage.spline_filter(np.pad(I, PAD, mode="edge"), mode="nearest")
-
-
-def _values(spline: Array, x: Array) -> Array:
-    return ndimage.map_coordinates(spline, x[::-1] + PAD, mode="nearest", prefilter=False)
 
 
 def _correlation(p: Array, q: Array, w: Array) -> Array:

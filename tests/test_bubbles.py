@@ -10,7 +10,7 @@ import eofm
 from eofm import bubbles as bubbles_module
 from eofm.bubbles import UNMATCHED, agree, detect, match, register
 from eofm.config import load
-from eofm.images import evaluate, evaluate_field
+from eofm.images import evaluate_field
 
 
 @pytest.fixture(scope="module")
@@ -142,12 +142,6 @@ def test_a_bubble_is_registered_the_same_alone_and_among_others(monkeypatch, rng
     few = register(I1, I2, x, start, 2.0)
     np.testing.assert_allclose(few[0], motion, atol=1e-12)
     np.testing.assert_allclose(few[1], quality, atol=1e-12)
-
-
-def test_spline_is_that_of_an_image_evaluated(rng):
-    I, x = rng.uniform(size=(13, 18)), rng.uniform(-3, 20, (2, 200))
-    spline = bubbles_module._spline(I)
-    np.testing.assert_allclose(bubbles_module._values(spline, x), evaluate(I, x), atol=1e-12)
 
 
 def test_touching_bubbles_are_told_apart_and_weighed():
