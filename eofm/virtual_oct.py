@@ -10,18 +10,18 @@ strains, scatterers inside of a resolution cell change their relative phases, an
 from typing import NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from eofm.config import VirtualOct
 from eofm.errors import InputError
-from eofm.images import evaluate_field
+from eofm.images import evaluate_field, gaussians
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-# Point-spread functions are cut off where their amplitude is exp(-8).
-REACH = 4.0
+# Scatterers whose echoes are summed at once, and the widths of a Gaussian as it is cut off.
+AT_ONCE = 2**17
+REACH = 6.0
 
 
 class Scatterers(NamedTuple):
@@ -124,6 +124,8 @@ def fill(shape: tuple[int, int], settings: VirtualOct) -> Scatterers:
     sides = np.array(shape[::-1]) - 1.0
     count = round(settings.density * sides.prod() / (np.pi * np.prod(widths(settings))))
     x = weak.uniform(0, sides, (count, 2)), strong.uniform(0, sides, (settings.reflectors, 2))
+    # By depth: what follows touches a few rows of the images at a time.
+    x = x[0][np.argsort(x[0][:, 1], kind="stable")], x[1]
     # The mean intensity is then int |psf|^2 / (pi w1 w2) = 1.
     matrix = np.full(count, settings.density**-0.5)
     level = strong.uniform(*settings.reflector_level, settings.reflectors)
@@ -143,20 +145,22 @@ def widths(settings: VirtualOct) -> tuple[float, float]:
 def echoes(scatterers: Scatterers, rows: Array, columns: Array, settings: VirtualOct) -> Complex:
     """Coherent sum of the echoes at the pixels, shape (height, width), free of noise.
 
-    The point-spread function is a product, so the image is a product of two sparse
-    matrices of its axial and lateral factors; the time is linear in the scatterers.
+    In units of the point-spread function's widths it is a round Gaussian.
     """
-    x1, x2 = scatterers.x
-    depth = x2 * settings.pixel_size
-    phase = 4 * np.pi * settings.refractive_index / settings.wavelength * depth
-    attenuation = np.exp(-settings.attenuation * depth / 1000)
-    echo = scatterers.amplitude * attenuation * np.exp(1j * phase)
     w1, w2 = widths(settings)
-    lateral, axial = (
-        _factor(x1 - columns[0], len(columns), w1),
-        _factor(x2 - rows[0], len(rows), w2),
-    )
-    return (axial.multiply(echo).tocsr() @ lateral.T.tocsr()).toarray()
+    image = np.zeros((len(rows), len(columns)), dtype=np.complex128)
+    for start in range(0, scatterers.x.shape[1], AT_ONCE):
+        x1, x2 = scatterers.x[:, start : start + AT_ONCE]
+        depth = x2 * settings.pixel_size
+        phase = 4 * np.pi * settings.refractive_index / settings.wavelength * depth
+        echo = scatterers.amplitude[start : start + AT_ONCE]
+        echo = echo * np.exp(-settings.attenuation * depth / 1000)
+        parts = np.stack([echo * np.cos(phase), echo * np.sin(phase)])
+        seen = slice(*np.searchsorted(rows, [x2.min() - REACH * w2, x2.max() + REACH * w2]))
+        centres = np.stack([x1 / w1, x2 / w2])
+        real, imaginary = gaussians(columns / w1, rows[seen] / w2, centres, 1.0, parts)
+        image[seen] += real + 1j * imaginary
+    return image
 
 
 def add_noise(A: Complex, rng: np.random.Generator, settings: VirtualOct) -> Complex:
@@ -171,13 +175,3 @@ def compress(A: Complex, settings: VirtualOct) -> Array:
     with np.errstate(divide="ignore"):
         level = 20 * np.log10(np.abs(A))
     return np.clip((level - low) / (high - low), 0, 1)
-
-
-def _factor(x: Array, n: int, w: float) -> sp.csc_array:
-    """Gaussians about the points ``x`` at the samples 0 to n - 1, shape (n, N)."""
-    reach = int(np.ceil(REACH * w))
-    samples = np.rint(x).astype(int)[:, None] + np.arange(-reach, reach + 1)
-    values = np.exp(-((samples - x[:, None]) ** 2) / (2 * w**2))
-    seen = (samples >= 0) & (samples < n)
-    ends = np.concatenate([[0], np.cumsum(seen.sum(1))])
-    return sp.csc_array((values[seen], samples[seen], ends), shape=(n, len(x)))

@@ -5,6 +5,7 @@ import pytest
 import tifffile
 
 import eofm
+from eofm import virtual_oct
 from eofm.cli import main
 from eofm.errors import InputError
 from eofm.images import warp
@@ -96,6 +97,22 @@ def test_resolution_and_attenuation_have_their_units():
     assert I[60, 40] == pytest.approx(4 * np.exp(-2 * 1.5 * depth))
     assert I[60, 41] == pytest.approx(I[60, 40] / 2)
     assert I[:, 50:].max() == 0
+
+
+def test_echoes_of_many_are_the_sum_of_each(monkeypatch, rng):
+    """Against the sum written out, with scatterers beyond the region and in any order."""
+    vo = eofm.VirtualOct(pixel_size=3.0, attenuation=1.0)
+    rows, columns = region((40, 53), (0.1, 0.2))
+    x, amplitude = rng.uniform(-8, 60, (2, 70)), rng.uniform(1, 5, 70)
+    monkeypatch.setattr(virtual_oct, "AT_ONCE", 16)
+    found = echoes(Scatterers(x, amplitude), rows, columns, vo)
+    w1, w2 = virtual_oct.widths(vo)
+    depth = x[1] * vo.pixel_size
+    echo = amplitude * np.exp(-vo.attenuation * depth / 1000)
+    echo = echo * np.exp(4j * np.pi * vo.refractive_index / vo.wavelength * depth)
+    lateral = np.exp(-((columns[:, None] - x[0]) ** 2) / (2 * w1**2))
+    axial = np.exp(-((rows[:, None] - x[1]) ** 2) / (2 * w2**2))
+    np.testing.assert_allclose(found, np.einsum("rk,ck,k->rc", axial, lateral, echo), atol=1e-5)
 
 
 def test_display_range():
