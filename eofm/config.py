@@ -281,7 +281,7 @@ class Estimation(Section):
         None, description="window of the local normalisation of brightness and contrast, px"
     )
     denoising: float = Field(
-        0.6, ge=0, description="Gaussian applied to both images before all else, px"
+        0.6, ge=0, description="Gaussian applied to the linearised images, px of each scale"
     )
 
     @model_validator(mode="before")

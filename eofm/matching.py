@@ -79,10 +79,9 @@ class ImagePair:
         second order and halves the variance of their noise, or the gradient of I1, as in
         the paper.
     denoising : float
-        Gaussian applied to the images before they are differentiated, px of the grid. The
-        gradients' noise is what speckle suffers from most. The difference of the images
-        itself stays as it is: at the edges a filter sees what is beyond them in one image
-        and not in the other, and would move them.
+        Gaussian applied to g and r, samples: gradients amplify noise. The images themselves
+        are not filtered, for at the edges a filter sees what lies beyond them in one image
+        and not in the other, which would move them.
     """
 
     grid: Grid
@@ -95,26 +94,33 @@ class ImagePair:
     def linearise(self, u: Array) -> Match:
         """Return the images linearised about a displacement."""
         samples = u / np.reshape(self.grid.spacing, (2, 1, 1))
-        warped, inside = self._spline.warp(samples)
-        g = self._gradient
         if self.mean:
-            g = (g + self._smooth.warp_with_gradient(samples, self.grid.spacing)[1]) / 2
-        return Match(self.grid, u, g, warped - self.I1, inside & self.live)
+            warped, moved, inside = self._spline.warp_with_gradient(samples, self.grid.spacing)
+            g = (self._gradient + moved) / 2
+        else:
+            warped, inside = self._spline.warp(samples)
+            g = self._gradient
+        used = inside & self.live
+        if not self.denoising:
+            return Match(self.grid, u, g, warped - self.I1, used)
+        g1, g2, r = _filtered(np.stack([*g, warped - self.I1]), used, self.denoising)
+        return Match(self.grid, u, np.stack([g1, g2]), r, used)
 
     @cached_property
     def _spline(self) -> Spline:
         return Spline(self.I2)
 
     @cached_property
-    def _smooth(self) -> Spline:
-        return Spline(self._filtered(self.I2)) if self.denoising else self._spline
-
-    @cached_property
     def _gradient(self) -> Array:
-        return gradient(self._filtered(self.I1), self.grid.spacing)
+        return gradient(self.I1, self.grid.spacing)
 
-    def _filtered(self, I: Array) -> Array:
-        return gaussian_filter(I, self.denoising, mode="mirror") if self.denoising else I
+
+def _filtered(fields: Array, used: Mask, width: float) -> Array:
+    """Gaussian averages of fields over the pixels of a mask, shape (k, height, width)."""
+    axes = (-2, -1)
+    total = gaussian_filter(fields * used, width, axes=axes, mode="mirror")
+    share = gaussian_filter(used.astype(np.float64), width, mode="mirror")
+    return total / np.maximum(share, 1e-6)
 
 
 def held_out(shape: tuple[int, ...], fold: int = 0, block: int = BLOCK) -> Mask:

@@ -111,7 +111,7 @@ def coarse_to_fine(
     return u
 
 
-def _sampled(I: Array, grids: list[Grid]) -> list[Array]:
+def _sampled(I: Array, grids: Sequence[Grid]) -> list[Array]:
     """The image on grids from coarse to fine, the last of which is its own."""
     spline = Spline(I)
     return [*(spline.resize(grid.shape) for grid in grids[:-1]), I]

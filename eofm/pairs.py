@@ -165,9 +165,7 @@ def _step(
 ) -> Step:
     """Standard flow, tracked bubbles, EOFM or the identified sample, and EOFM backwards."""
     shared: dict[str, Any] = {"pixel_size": pair.pixel_size, "progress": progress}
-    kept = estimation.model_dump(
-        include={"scales", "factor", "limits", "local_window", "denoising"}
-    )
+    kept = estimation.model_dump(include={"scales", "factor", "limits", "local_window"})
     plain = Estimation(method="paper", beta=0.0, warps=estimation.warps, **kept)
     standard = estimate_displacement(I1, I2, plain, dead=scene.dead, **shared).u
     guess = standard if scene.background is None else scene.background
