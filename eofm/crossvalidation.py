@@ -29,7 +29,7 @@ MARGIN = 2
 WINDOW = 192
 # Relative residual of the trial solves.
 ACCURACY = 1e-3
-# Part of the mean data term that is added to it: a window may be black.
+# Part of the image's mean data term that is added to all: a window may be black.
 RIDGE = 1e-9
 
 
@@ -62,11 +62,11 @@ def choose_alpha(
     start : float
         First weight tried.
     """
+    ridge = RIDGE * float((match.g**2 * match.used).mean())
     trials = [
-        _Trial(_cut(match, w), about[:, *w], prescribed[:, *w], free[w], smoothness, fold)
+        _Trial(_cut(match, w), about[:, *w], prescribed[:, *w], free[w], smoothness, fold, ridge)
         for w in _windows(match.grid.shape)
         for fold in (0, 2)
-        if (match.g[:, *w] * match.used[w]).any()
     ]
     misfits: dict[int, float] = {}
 
@@ -97,12 +97,12 @@ class _Trial:
         free: NDArray[np.bool_],
         smoothness: str,
         fold: int,
+        ridge: float,
     ) -> None:
         self.match, self.about, self.free, self.smoothness = match, about, free, smoothness
         out = held_out(match.grid.shape, fold)
         self.out = out & match.used
         terms = match.density(about, ~binary_dilation(out, np.ones((3, 3)), MARGIN))
-        ridge = RIDGE * (terms.A[[0, 2]].mean() + np.finfo(float).tiny)
         self.terms = Pointwise(terms.A + ridge * np.reshape([1, 0, 1], (3, 1, 1)), terms.b)
         self.prescribed, self.v = prescribed, np.zeros_like(about)
 

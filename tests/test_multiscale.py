@@ -38,6 +38,13 @@ def test_each_scale_starts_from_the_last_one(rng):
         seen.append(u.mean())
         return u + 1
 
-    u = coarse_to_fine(*rng.normal(size=(2, 33, 41)), improve, scales=3, factor=0.5)
+    u = coarse_to_fine(*rng.normal(size=(2, 33, 41)), improve, pyramid((33, 41), 3, 0.5))
     np.testing.assert_allclose(seen, [0, 1, 2], atol=1e-12)
     np.testing.assert_allclose(u, 3, atol=1e-12)
+
+
+@pytest.mark.parametrize(("shape", "scales"), [((108, 180), 4), ((12, 400), 1), ((97, 97), 4)])
+def test_open_scales_leave_twelve_pixels(shape, scales):
+    grids = pyramid(shape, None, 0.5)
+    assert len(grids) == scales
+    assert min(grids[0].shape) >= 12

@@ -30,11 +30,11 @@ def test_data_decides_where_there_is_contrast_in_both_directions(rng):
     I[:, :30] = speckle((60, 30), rng)
     I[:, 60:] = np.tile(np.sin(np.arange(30)), (60, 1))
     nowhere = np.zeros(I.shape, bool)
-    share = data_share(I, 0.05, 5.0, (1.0, 1.0), nowhere)
+    share = data_share(I, "gradient", 0.05, 5.0, (1.0, 1.0), nowhere)
     assert share[10:50, 5:20].min() > 0.3
     assert share[10:50, 45].max() < 0.1
     # Stripes say nothing of the motion along them.
     assert share[20:40, 75:80].max() < 0.1
     dead = nowhere.copy()
     dead[:, :30] = True
-    assert data_share(I, 0.05, 5.0, (1.0, 1.0), dead)[10:50, 5:15].max() < 0.1
+    assert data_share(I, "gradient", 0.05, 5.0, (1.0, 1.0), dead)[10:50, 5:15].max() < 0.1
