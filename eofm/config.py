@@ -280,8 +280,11 @@ class Estimation(Section):
     local_window: Positive | None = Field(
         None, description="window of the local normalisation of brightness and contrast, px"
     )
-    denoising: float = Field(
-        0.6, ge=0, description="Gaussian applied to the linearised images, px of each scale"
+    denoising: float | None = Field(
+        None,
+        ge=0,
+        description="Gaussian applied to the linearised images, px of each scale; none: up to 0.6,"
+        " by the share of white noise in what is left of their difference",
     )
 
     @model_validator(mode="before")

@@ -16,10 +16,11 @@ from eofm.multigrid import multigrid
 
 Array = NDArray[np.float64]
 
-# Weight on the coarse scales, and the first one tried; and the least and largest tried.
-FIRST, LEAST, LARGEST = 1.0, 0.01, 1000.0
-# Ratio of two weights that are compared: the minimum is flat.
-STEP = 3.0
+# Samples over which the first weight smooths.
+REACH = 8.0
+# Ratio of two weights that are compared: the minimum is flat; and how far they go from the
+# first, in such steps.
+STEP, FARTHEST = 3.0, 6
 # Fewer blocks than these do not tell weights apart.
 BLOCKS = 50
 # Pixels around a held-out block that are not used either: the noise of images that were
@@ -33,6 +34,16 @@ ACCURACY = 1e-3
 RIDGE = 1e-9
 
 
+def first_alpha(match: Match, smoothness: str) -> float:
+    """Weight of the coarse scales, and the first one tried.
+
+    It holds a structure of the ``REACH`` as firmly as the mean gradient of the images does.
+    """
+    reach = REACH * float(np.sqrt(np.prod(match.grid.spacing)))
+    strength = float((match.g**2 * match.used).mean()) + np.finfo(float).tiny
+    return strength * reach ** (2 if smoothness == "gradient" else 4)
+
+
 def enough(shape: tuple[int, ...]) -> bool:
     """Whether an image has blocks enough to choose a weight."""
     return shape[0] * shape[1] >= BLOCKS * BLOCK**2
@@ -44,7 +55,7 @@ def choose_alpha(
     prescribed: Array,
     free: NDArray[np.bool_],
     smoothness: str,
-    start: float = FIRST,
+    start: float,
 ) -> float:
     """Weight with the least misfit on held-out blocks.
 
@@ -72,9 +83,8 @@ def choose_alpha(
 
     def misfit(k: int) -> float:
         if k not in misfits:
-            alpha = start * STEP**k
-            inside = LEAST <= alpha <= LARGEST
-            misfits[k] = sum(t.misfit(alpha) for t in trials) if inside else np.inf
+            near = abs(k) <= FARTHEST
+            misfits[k] = sum(t.misfit(start * STEP**k) for t in trials) if near else np.inf
         return misfits[k]
 
     k = 0

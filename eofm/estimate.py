@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from eofm.bubbles import as_arrays
 from eofm.config import Edge, Estimation
-from eofm.crossvalidation import FIRST, choose_alpha, enough
+from eofm.crossvalidation import choose_alpha, enough, first_alpha
 from eofm.errors import InputError
 from eofm.functional import (
     EDGES,
@@ -149,10 +149,11 @@ def estimate_displacement(
     ``I_t = I2 - I1``. Pixels that leave the image, ``x + u0(x)`` outside of it, carry no
     data.
 
-    An alpha that is not given is chosen by cross-validation on the two finest scales, and
-    the larger one is taken. Residuals that are correlated, as those of decorrelated speckle
-    are, make cross-validation choose too little smoothing (Opsomer, Wang and Yang, Stat.
-    Sci. 16, 2001), and to err on the side of smoothness costs less than the other.
+    An alpha that is not given is chosen by cross-validation on the two finest scales. That of
+    the finest is taken or, where the other is larger, their geometric mean: residuals that
+    are correlated, as those of decorrelated speckle are, make cross-validation choose too
+    little smoothing (Opsomer, Wang and Yang, Stat. Sci. 16, 2001), least so on the coarser
+    scale.
     """
     background = np.zeros((2, *I1.shape)) if background is None else background
     dead = np.zeros(I1.shape, dtype=bool) if dead is None else dead
@@ -215,12 +216,20 @@ class _Problem:
     weights: list[float] = field(default_factory=list)
     found: Estimate | None = None
 
+    @property
+    def alpha(self) -> float | None:
+        """The weight that the scales tried so far ask for."""
+        if not self.weights:
+            return None
+        *coarse, fine = self.weights
+        return float(np.sqrt(fine * max([fine, *coarse])))
+
     def improve(self, grid: Grid, I1: Array, I2: Array, u: Array) -> Array:
         """A better displacement than ``u`` for the images on a grid."""
         settings, finest = self.settings, grid is self.grids[-1]
         u_bg = resize_field(self.u_bg, grid.shape)
         live = resize(self.dead, grid.shape) < 0.5
-        pair = ImagePair(grid, I1, I2, live, settings.gradients == "mean", settings.denoising)
+        pair = ImagePair(grid, I1, I2, live, settings.gradients == "mean")
         edges = _on_edges(grid, self.v_edges)
         coarse_only = finest and settings.speckle_scales == "coarse"
         beta = 0.0 if coarse_only else _weights(grid, self.x, self.v_edges, settings)
@@ -232,12 +241,13 @@ class _Problem:
         tried = any(grid is fine for fine in self.grids[-2:]) and (finest or enough(grid.shape))
         for warp in range(settings.warps):
             match = pair.linearise(u)
+            if warp == settings.warps - 1:
+                match = match.filtered(settings.denoising)
+            alpha = settings.alpha or self.alpha or first_alpha(match, settings.smoothness)
             if settings.alpha is None and tried and warp == min(1, settings.warps - 1):
-                near = max(self.weights, default=FIRST)
-                self.weights.append(
-                    choose_alpha(match, u_bg, prescribed, free, settings.smoothness, near)
-                )
-            alpha = settings.alpha or max(self.weights, default=FIRST)
+                chosen = choose_alpha(match, u_bg, prescribed, free, settings.smoothness, alpha)
+                self.weights.append(chosen)
+                alpha = self.alpha or chosen
             F = Quadratic(grid, known + match.density(u_bg), alpha, free, settings.smoothness)
             F, about = F.shifted(prescribed), u_bg + prescribed
             last = finest and warp == settings.warps - 1
@@ -246,7 +256,7 @@ class _Problem:
                 u = about + multigrid(F, tol=tol, initial=u - about, report=report)
         if finest:
             h = np.reshape(grid.spacing, (2, 1, 1))
-            self.found = Estimate(u / h, alpha, pair.linearise(u), F)
+            self.found = Estimate(u / h, alpha, pair.linearise(u).filtered(settings.denoising), F)
         return u
 
 

@@ -77,11 +77,11 @@ def test_windows_stand_for_a_large_image():
     I1, I2 = speckle(u, count=12000, noise=0.1)
     free, zero = np.ones(shape, dtype=bool), np.zeros((2, *shape))
     match = ImagePair(Grid(shape), I1, I2, free, True).linearise(u)
-    chosen = choose_alpha(match, zero, zero, free, "bending")
+    chosen = choose_alpha(match, zero, zero, free, "bending", 1.0)
     part = np.s_[:300, :300]
     match = ImagePair(Grid((300, 300)), I1[part], I2[part], free[part], True).linearise(u[:, *part])
     zero = zero[:, *part]
-    assert 0.1 < chosen / choose_alpha(match, zero, zero, free[part], "bending") < 10
+    assert 0.1 < chosen / choose_alpha(match, zero, zero, free[part], "bending", 1.0) < 10
 
 
 def test_a_black_quarter_does_not_stop_the_choice():
