@@ -243,7 +243,7 @@ class Estimation(Section):
         "bending", description="R: squared first (the paper's) or second derivatives"
     )
     alpha: Positive | None = Field(
-        None, description="weight of the smoothness term R; none: chosen on held-out pixels"
+        None, description="weight of R; none: chosen on held-out pixels (with bending)"
     )
     beta: float = Field(0.5, ge=0, description="weight of the speckle term S")
     sigma: Positive = Field(5.0, description="width of the Gaussians g_sigma, px")
@@ -293,6 +293,15 @@ class Estimation(Section):
         if isinstance(values, dict) and values.get("method") == "paper":
             return PAPER | values
         return values
+
+    @model_validator(mode="after")
+    def _can_choose_alpha(self) -> Self:
+        if self.alpha is None and self.smoothness == "gradient":
+            raise ValueError(
+                "alpha: wants a value with the smoothness 'gradient'; only that of 'bending' is"
+                " found well on held-out pixels"
+            )
+        return self
 
 
 class Identification(Section):

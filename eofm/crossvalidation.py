@@ -1,4 +1,4 @@
-"""The weight of the smoothness term, chosen by the images alone.
+"""The weight of the bending energy, chosen by the images alone.
 
 Blocks of pixels are held out, and the field that the other pixels give has to carry the
 second image onto the first in those blocks. That needs neither the noise level nor the
@@ -34,14 +34,14 @@ ACCURACY = 1e-3
 RIDGE = 1e-9
 
 
-def first_alpha(match: Match, smoothness: str) -> float:
+def first_alpha(match: Match) -> float:
     """Weight of the coarse scales, and the first one tried.
 
     It holds a structure of the ``REACH`` as firmly as the mean gradient of the images does.
     """
     reach = REACH * float(np.sqrt(np.prod(match.grid.spacing)))
     strength = float((match.g**2 * match.used).mean()) + np.finfo(float).tiny
-    return strength * reach ** (2 if smoothness == "gradient" else 4)
+    return strength * reach**4
 
 
 def enough(shape: tuple[int, ...]) -> bool:
@@ -54,10 +54,9 @@ def choose_alpha(
     about: Array,
     prescribed: Array,
     free: NDArray[np.bool_],
-    smoothness: str,
     start: float,
 ) -> float:
-    """Weight with the least misfit on held-out blocks.
+    """Weight of the bending energy with the least misfit on held-out blocks.
 
     Goes downhill from ``start`` in factors of 3, then to the vertex of the parabola through
     the three best in log alpha: four or five solves for each half of the held-out blocks.
@@ -69,13 +68,12 @@ def choose_alpha(
     about, prescribed : ndarray, shape (2, height, width)
         The displacement is ``about + v``, with ``v`` that of ``prescribed`` where not free.
     free : ndarray of bool, shape (height, width)
-    smoothness : {"gradient", "bending"}
     start : float
         First weight tried.
     """
     ridge = RIDGE * float((match.g**2 * match.used).mean())
     trials = [
-        _Trial(_cut(match, w), about[:, *w], prescribed[:, *w], free[w], smoothness, fold, ridge)
+        _Trial(_cut(match, w), about[:, *w], prescribed[:, *w], free[w], fold, ridge)
         for w in _windows(match.grid.shape)
         for fold in (0, 2)
     ]
@@ -105,11 +103,10 @@ class _Trial:
         about: Array,
         prescribed: Array,
         free: NDArray[np.bool_],
-        smoothness: str,
         fold: int,
         ridge: float,
     ) -> None:
-        self.match, self.about, self.free, self.smoothness = match, about, free, smoothness
+        self.match, self.about, self.free = match, about, free
         out = held_out(match.grid.shape, fold)
         self.out = out & match.used
         terms = match.density(about, ~binary_dilation(out, np.ones((3, 3)), MARGIN))
@@ -118,7 +115,7 @@ class _Trial:
 
     def misfit(self, alpha: float) -> float:
         """Sum of the squared residual on the pixels that are held out."""
-        F = Quadratic(self.match.grid, self.terms, alpha, self.free, self.smoothness)
+        F = Quadratic(self.match.grid, self.terms, alpha, self.free, "bending")
         self.v = multigrid(F.shifted(self.prescribed), tol=ACCURACY, initial=self.v)
         r = self.match.residual(self.about + self.prescribed + self.v)
         return float(np.sum(r[self.out] ** 2))

@@ -243,9 +243,9 @@ class _Problem:
             match = pair.linearise(u)
             if warp == settings.warps - 1:
                 match = match.filtered(settings.denoising)
-            alpha = settings.alpha or self.alpha or first_alpha(match, settings.smoothness)
+            alpha = settings.alpha or self.alpha or first_alpha(match)
             if settings.alpha is None and tried and warp == min(1, settings.warps - 1):
-                chosen = choose_alpha(match, u_bg, prescribed, free, settings.smoothness, alpha)
+                chosen = choose_alpha(match, u_bg, prescribed, free, alpha)
                 self.weights.append(chosen)
                 alpha = self.alpha or chosen
             F = Quadratic(grid, known + match.density(u_bg), alpha, free, settings.smoothness)

@@ -35,9 +35,10 @@ Array = NDArray[np.float64]
 
 # Contradictions smaller than this are none, px.
 UNCERTAIN = 0.5
-# Side of the blocks that are held out to choose gamma, px. They hold whole bubbles: what the
-# rest of a bubble gets wrong, as it moves without being strained, its other half does too.
-BLOCK = 16
+# Least and largest side of the blocks that are held out to choose gamma, px, and their number
+# where the image has room. Large ones hold whole bubbles: what half of a bubble gets wrong, as
+# it moves without being strained, its other half does too.
+BLOCK, BLOCKS = (8, 16), 50
 # Elements at most, where their size is left open: their matrix is factorised many times.
 ELEMENTS = 6400
 # Smallest side of an element then, px.
@@ -204,8 +205,9 @@ def _identify(
     if previous is not None:
         m, gamma = previous.m, previous.gamma
     if gamma is None:
-        folds = [held_out(match.grid.shape, fold, BLOCK) for fold in range(4)]
-        misfits = partial(match.block_misfits, block=BLOCK)
+        block = int(np.clip(np.sqrt(match.r.size / BLOCKS), *BLOCK))
+        folds = [held_out(match.grid.shape, fold, block) for fold in range(4)]
+        misfits = partial(match.block_misfits, block=block)
         gamma = choose_gamma(problem, misfits, folds, settings, report)
     whole = problem(np.ones(match.used.shape, dtype=bool))
     m = gauss_newton(whole, m, gamma, settings, report)

@@ -68,6 +68,7 @@ def test_the_paper_s_parameters(folder):
         ({"phantom": {"sigma": [2, 1]}}, "sigma: wants 0 < low <= high"),
         ({"tests": {"9": {"changes": {"alpha": -1}}}}, "tests.9.changes: alpha: .*greater than 0"),
         ({"tests": {"6": {}}}, "'6' cannot be a test's name"),
+        ({"estimation": {"method": "paper", "alpha": None}}, "alpha: wants a value with"),
         ({"preset": {"method": "papers"}}, "preset.method: .*'preset' or 'paper'"),
         ({"figures": {"pixel_size": [0, 5]}}, "figures.pixel_size.0: .*greater than 0"),
         ({"sample": 5}, "sample: .*dictionary"),
@@ -118,5 +119,4 @@ def test_the_method_says_whose_defaults_hold():
     preset, paper = Estimation(), Estimation(method="paper")
     assert (preset.smoothness, preset.alpha, preset.warps) == ("bending", None, 2)
     assert (paper.smoothness, paper.alpha, paper.warps) == ("gradient", 0.8, 1)
-    assert Estimation(method="paper", alpha=None).alpha is None
     assert Estimation.parse(paper.model_dump(), "again") == paper
