@@ -29,7 +29,7 @@ MARGIN = 2
 # Side of the windows that stand for a large image, px.
 WINDOW = 192
 # Relative residual of the trial solves.
-ACCURACY = 1e-3
+ACCURACY = 1e-2
 # Part of the image's mean data term that is added to all: a window may be black.
 RIDGE = 1e-9
 

@@ -33,9 +33,9 @@ from eofm.multiscale import coarse_to_fine, pyramid, solving
 Array = NDArray[np.float64]
 
 # Relative residual of the solves; u changes by less than 1e-4 px below it.
-TOLERANCE = 1e-5
+TOLERANCE = 1e-4
 # The same of solves that are followed by another about their result.
-ROUGH = 1e-3
+ROUGH = 1e-2
 
 
 @dataclass(frozen=True)
