@@ -83,9 +83,10 @@ class Match:
 
     @cached_property
     def whiteness(self) -> float:
-        """Share of white noise in the residual where there are gradients, from 0 to 1.
+        """How white the residual is where there are gradients, from 0 to 1.
 
-        Of neighbours' correlation, that of the gradients stands for no white noise.
+        The correlation of neighbours is 0 for white noise, and half for what clean images
+        leave, whose bubbles are as wide as the gradients.
         """
         weight = (self.g**2).sum(0) * self.used
         white = []
@@ -93,7 +94,7 @@ class Match:
             w = np.sqrt(weight[near] * weight[far])
             r = (w * self.r[near] * self.r[far]).sum() / max((w * self.r[near] ** 2).sum(), TINY)
             white.append(1 - r)
-        return float(np.clip(np.mean(white), 0, 1))
+        return float(np.clip(2 * np.mean(white) - 1, 0, 1))
 
     @property
     def noise(self) -> float:
