@@ -315,7 +315,7 @@ class Identification(Section):
         None, description="weight of the total variation; none: chosen on held-out blocks"
     )
     gamma_range: Spread = Field((0.01, 30.0), description="weights tried, downwards")
-    clear: float = Field(1.0, ge=0, description="standard errors that make a gain clear")
+    clear: float = Field(2.0, ge=0, description="standard errors that make a gain clear")
     epsilon: Positive = Field(0.02, description="gradient of log E that counts as an edge, 1/px")
     iterations: int = Field(30, ge=1, description="largest number of Gauss-Newton steps")
     least_gain: Positive = Field(5.0, description="gain in log-likelihood at which they stop")
