@@ -129,7 +129,11 @@ def detect(I: Array, settings: Tracking = Tracking()) -> pd.DataFrame:
     seen = regions > 0
     label, height = regions[seen] - 1, (smooth - level)[seen]
     area, total = np.bincount(label).astype(float), np.bincount(label, height)
-    x2, x1 = (np.bincount(label, height * x) / total for x in np.nonzero(seen))
+    # A bubble of one row or column at the border must not be rounded out of the image.
+    x2, x1 = (
+        np.minimum(np.bincount(label, height * x) / total, n - 1)
+        for x, n in zip(np.nonzero(seen), I.shape, strict=True)
+    )
     brightness = np.zeros(len(area))
     np.maximum.at(brightness, label, height)
     table = pd.DataFrame({"x2": x2, "x1": x1, "area": area, "brightness": brightness})

@@ -414,7 +414,7 @@ class Benchmark(Section):
     largest: dict[Tool, int] = Field(
         {
             "eofm": 2048,
-            "eofm_preset": 512,
+            "eofm_preset": 2048,
             "tvl1": 1024,
             "ilk": 2048,
             "dis": 2048,

@@ -178,3 +178,11 @@ def test_nothing_followed_says_what_to_do():
         eofm.InputError, match="none of 1 bubbles could be followed; raise the gate"
     ):
         eofm.track(I1, I2)
+
+
+def test_bubbles_along_the_last_column_stay_inside(rng):
+    I = np.zeros((400, 20))
+    I[:, -1] = np.abs(rng.normal(size=400))
+    found = bubbles_module.detect(I, eofm.Tracking(smoothing=0.0, min_area=1))
+    assert len(found) > 50
+    assert found.x1.max() == 19
