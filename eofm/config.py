@@ -321,7 +321,7 @@ class Identification(Section):
     least_gain: Positive = Field(5.0, description="gain in log-likelihood at which they stop")
     damping: Positive = Field(1.0, description="Levenberg's damping at the start")
     trust: float = Field(
-        0.02,
+        0.03,
         ge=0,
         description="relative contradiction of the edges' motion above which the images' is taken",
     )

@@ -208,7 +208,9 @@ def _panels(
     p1, p2 = settings.pixel_size
     aspect = shape[0] * p2 / (shape[1] * p1)
     height = WIDTH * 0.74 * min(max(aspect, 0.3), 1.5) + 0.55
-    figure = Figure((columns * WIDTH, rows * height), layout="constrained")
+    # Panels of a deep image are narrower instead of taller, as far as titles allow.
+    width = WIDTH * max(min(1.5 / aspect, 1.0), 0.6)
+    figure = Figure((columns * width, rows * height), layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
 
 
