@@ -93,27 +93,6 @@ def track(
     return table[["x1", "x2", "u1", "u2", "area", "brightness", "quality"]].reset_index(drop=True)
 
 
-def as_arrays(table: pd.DataFrame | None, shape: tuple[int, ...]) -> tuple[Array, Array]:
-    """Centres and motions of a table of bubbles, shape (2, M) each, px; none give M = 0.
-
-    Raises
-    ------
-    InputError
-        If a bubble lies outside of an image of a ``shape``, or moves farther than its size.
-    """
-    if table is None:
-        return np.empty((2, 0)), np.empty((2, 0))
-    x, motion = np.split(table[["x1", "x2", "u1", "u2"]].to_numpy(dtype=float).T, 2)
-    size = np.reshape(shape[::-1], (2, 1))
-    bad = np.flatnonzero(~inside((shape[0], shape[1]), x) | (np.abs(motion) >= size).any(0))
-    if bad.size:
-        raise InputError(
-            f"bubble {bad[0] + 1} of {x.shape[1]} lies or moves outside of the image of"
-            f" {shape[0]} x {shape[1]} px; was the table made for another image?"
-        )
-    return x, motion
-
-
 def detect(I: Array, settings: Tracking = Tracking()) -> pd.DataFrame:
     """Bubbles of an image: columns x1, x2 (centre of mass), area and brightness.
 

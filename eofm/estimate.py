@@ -6,7 +6,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from eofm.bubbles import as_arrays
 from eofm.config import Edge, Estimation
 from eofm.crossvalidation import choose_alpha, enough, first_alpha
 from eofm.errors import InputError
@@ -20,6 +19,7 @@ from eofm.functional import (
 )
 from eofm.images import (
     evaluate_field,
+    inside,
     normalise,
     normalise_locally,
     resize,
@@ -170,7 +170,7 @@ def estimate_displacement(
     u_bg = h[..., None] * background
     v_edges = {edge: h * g - u_bg[:, *EDGES[edge]] for edge, g in (edges or {}).items()}
     v_edges |= {edge: np.zeros_like(u_bg[:, *EDGES[edge]]) for edge in settings.zero_edges}
-    x, motion = as_arrays(bubbles, I1.shape)
+    x, motion = _arrays(bubbles, I1.shape)
     update = h * (motion - evaluate_field(background, x))
     I1, I2 = normalised(I1, I2, settings, (h1, h2))
     grids = pyramid(I1.shape, settings.scales, settings.factor, (h1, h2))
@@ -270,6 +270,27 @@ def normalised(
     window = settings.local_window / h1, settings.local_window / h2
     I1, I2 = normalise(I1, I2)
     return normalise_locally(I1, window), normalise_locally(I2, window)
+
+
+def _arrays(table: pd.DataFrame | None, shape: tuple[int, ...]) -> tuple[Array, Array]:
+    """Centres and motions of a table of bubbles, shape (2, M) each, px; none give M = 0.
+
+    Raises
+    ------
+    InputError
+        If a bubble lies outside of an image of a ``shape``, or moves farther than its size.
+    """
+    if table is None:
+        return np.empty((2, 0)), np.empty((2, 0))
+    x, motion = np.split(table[["x1", "x2", "u1", "u2"]].to_numpy(dtype=float).T, 2)
+    size = np.reshape(shape[::-1], (2, 1))
+    bad = np.flatnonzero(~inside((shape[0], shape[1]), x) | (np.abs(motion) >= size).any(0))
+    if bad.size:
+        raise InputError(
+            f"bubble {bad[0] + 1} of {x.shape[1]} lies or moves outside of the image of"
+            f" {shape[0]} x {shape[1]} px; was the table made for another image?"
+        )
+    return x, motion
 
 
 def _prescribed(grid: Grid, edges: dict[Edge, Array]) -> tuple[Array, NDArray[np.bool_]]:
