@@ -59,8 +59,9 @@ def choose_alpha(
     """Weight of the bending energy with the least misfit on held-out blocks.
 
     Goes downhill from ``start`` in factors of 3, then to the vertex of the parabola through
-    the three best in log alpha: four or five solves for each half of the held-out blocks.
-    Large images are represented by windows, so that this takes the same time for all.
+    the three best in log alpha: four or five solves for each of two quarters that are held
+    out. Of large images, one quarter of some windows does, so that this takes the same time
+    for all.
 
     Parameters
     ----------
@@ -71,11 +72,12 @@ def choose_alpha(
     start : float
         First weight tried.
     """
+    windows = _windows(match.grid.shape)
     ridge = RIDGE * float((match.g**2 * match.used).mean())
     trials = [
         _Trial(_cut(match, w), about[:, *w], prescribed[:, *w], free[w], fold, ridge)
-        for w in _windows(match.grid.shape)
-        for fold in (0, 2)
+        for w in windows
+        for fold in ((0, 2) if len(windows) == 1 else (0,))
     ]
     misfits: dict[int, float] = {}
 

@@ -1,6 +1,7 @@
 """The elastographic optical flow method: all five tests of the paper, and your images."""
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import pandas as pd
@@ -32,8 +33,8 @@ from eofm.multiscale import coarse_to_fine, pyramid, solving
 
 Array = NDArray[np.float64]
 
-# Relative residual of the solves; u changes by less than 1e-4 px below it.
-TOLERANCE = 1e-4
+# Relative residual of the last solve; u changes by less than 1e-4 px below it.
+TOLERANCE = {"gradient": 1e-4, "bending": 1e-3}
 # The same of solves that are followed by another about their result.
 ROUGH = 1e-2
 
@@ -49,16 +50,25 @@ class Estimate:
         right) and axial (down) motion of what was at x before compression.
     alpha : float
         Weight of the smoothness term on the finest scale.
-    match : Match
-        The images linearised about ``u``, in true lengths.
+    pair : ImagePair
+        The images on the finest scale.
+    denoising : float, optional
+        Filter of the linearised images, see :meth:`eofm.matching.Match.filtered`.
     functional : Quadratic
         The F that was minimised last.
     """
 
     u: Array
     alpha: float
-    match: Match
+    pair: ImagePair
+    denoising: float | None
     functional: Quadratic
+
+    @cached_property
+    def match(self) -> Match:
+        """The images linearised about ``u``, in true lengths."""
+        h = np.reshape(self.pair.grid.spacing, (2, 1, 1))
+        return self.pair.linearise(h * self.u).filtered(self.denoising)
 
     def deviation(self, samples: int = 32, seed: int = 0) -> Array:
         """Return the standard deviation of the displacement at each pixel, px.
@@ -231,11 +241,12 @@ class _Problem:
         live = resize(self.dead, grid.shape) < 0.5
         pair = ImagePair(grid, I1, I2, live, settings.gradients == "mean")
         edges = _on_edges(grid, self.v_edges)
-        coarse_only = finest and settings.speckle_scales == "coarse"
-        beta = 0.0 if coarse_only else _weights(grid, self.x, self.v_edges, settings)
-        known = speckle_term(grid, self.x, self.motion, beta, settings.sigma)
+        known = []
+        if self.x.size and (settings.speckle_scales == "all" or not finest):
+            beta = _weights(grid, self.x, self.v_edges, settings)
+            known.append(speckle_term(grid, self.x, self.motion, beta, settings.sigma))
         if settings.edge_weight:
-            known += edge_term(grid, edges, settings.edge_weight)
+            known.append(edge_term(grid, edges, settings.edge_weight))
             edges = {}
         prescribed, free = _prescribed(grid, edges)
         tried = any(grid is fine for fine in self.grids[-2:]) and (finest or enough(grid.shape))
@@ -248,15 +259,16 @@ class _Problem:
                 chosen = choose_alpha(match, u_bg, prescribed, free, alpha)
                 self.weights.append(chosen)
                 alpha = self.alpha or chosen
-            F = Quadratic(grid, known + match.density(u_bg), alpha, free, settings.smoothness)
-            F, about = F.shifted(prescribed), u_bg + prescribed
+            terms = sum(known, start=match.density(u_bg))
+            F = Quadratic(grid, terms, alpha, free, settings.smoothness).shifted(prescribed)
+            about = u_bg + prescribed
             last = finest and warp == settings.warps - 1
             with solving(grid, self.progress) as report:
-                tol = TOLERANCE if last else ROUGH
+                tol = TOLERANCE[settings.smoothness] if last else ROUGH
                 u = about + multigrid(F, tol=tol, initial=u - about, report=report)
         if finest:
             h = np.reshape(grid.spacing, (2, 1, 1))
-            self.found = Estimate(u / h, alpha, pair.linearise(u).filtered(settings.denoising), F)
+            self.found = Estimate(u / h, alpha, pair, settings.denoising, F)
         return u
 
 

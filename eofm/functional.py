@@ -114,9 +114,6 @@ def speckle_term(grid: Grid, x: Array, u: Array, beta: float | Array, sigma: flo
     sigma : float
         Standard deviation of the Gaussians, px.
     """
-    if not x.size:
-        zero = np.zeros(1)
-        return Pointwise(*(np.broadcast_to(zero, (n, *grid.shape)) for n in (3, 2)))
     weights = np.broadcast_to(beta, x.shape[1:]) / (2 * np.pi * sigma**2)
     g = gaussians(grid.x1, grid.x2, x, sigma, weights * [np.ones_like(u[0]), *u])
     return Pointwise(np.stack([g[0], np.zeros_like(g[0]), g[0]]), g[1:])
