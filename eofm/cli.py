@@ -149,8 +149,8 @@ def stiffness(args: argparse.Namespace) -> None:
           --height 108 --width 180 --compression 3.53
 
     The images show the whole sample, fixed on top and moved by a known compression at the
-    bottom, px. --deviation writes the standard deviation of u1 and u2, px, and
-    --stiffness-deviation that of log E. The search ends when a step gains less than
+    bottom, px. --deviation writes the standard deviation of u1 and u2 of the identified
+    sample, px, and --stiffness-deviation that of log E. The search ends when a step gains less than
     --least-gain, or after --iterations steps.
     """
     from eofm.stiffness import identify_stiffness
@@ -297,10 +297,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     # Compiled loops take as many threads as the workflow gives a job.
     os.environ.setdefault("NUMBA_NUM_THREADS", os.environ.get("OMP_NUM_THREADS", "1"))
     try:
+        written: list[Path] = []
         for name in STEPS[args.step][1]:
             path = getattr(args, name.lower())
             if path and name in WRITTEN:
                 io.check_folder(path)
+                if path in written:
+                    raise InputError(f"{path}: is named for two results; give each its own file")
+                written.append(path)
         args.step(args)
     except (InputError, OSError) as error:
         print(f"eofm {_name(args.step)}: {error}", file=sys.stderr)

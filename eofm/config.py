@@ -277,7 +277,7 @@ class Estimation(Section):
     limits: Limits | None = Field(
         None, description="intensities that become 0 and 1; none: extremes of both images"
     )
-    local_window: Positive | None = Field(
+    local_window: Annotated[float, Field(ge=1)] | None = Field(
         None, description="window of the local normalisation of brightness and contrast, px"
     )
     denoising: float | None = Field(
@@ -456,6 +456,12 @@ class Variant(Section):
 
     background: bool = Field(True, description="whether the background field is used")
     changes: dict[str, Any] = Field({}, description="settings that differ from the estimation's")
+
+    @model_validator(mode="after")
+    def _keeps_the_method(self) -> Self:
+        if "method" in self.changes:
+            raise ValueError("changes: the method has no effect here; name what it would change")
+        return self
 
 
 class Config(Section):

@@ -22,7 +22,7 @@ REACH = 8.0
 # first, in such steps.
 STEP, FARTHEST = 3.0, 6
 # Fewer blocks than these do not tell weights apart.
-BLOCKS = 50
+BLOCKS = 20
 # Pixels around a held-out block that are not used either: the noise of images that were
 # filtered is correlated, and would be fitted on both sides of the border.
 MARGIN = 2

@@ -1,5 +1,6 @@
 """The elastographic optical flow method: all five tests of the paper, and your images."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -83,25 +84,29 @@ class Estimate:
         Returns
         -------
         ndarray, shape (2, height, width)
+        """
+        squares = np.zeros_like(self.u)
+        for sample in self.samples(samples, seed):
+            squares += sample**2
+        return np.sqrt(squares / samples)
 
-        Notes
-        -----
+    def samples(self, count: int, seed: int = 0) -> Iterator[Array]:
+        """Errors of the displacement as they may be, shape (2, height, width), px.
+
         The deviation of a sample of the posterior from its mean minimises F for data and a
         prior that are noise (Papandreou and Yuille, NIPS 2010). The noise of the data is
         that of the residuals, with one random sign for each block of pixels (wild cluster
         bootstrap, Cameron, Gelbach and Miller, Rev. Econ. Stat. 90, 2008): residuals of
         bubbles are correlated and grow with the gradient, so white noise would promise too
-        much.
+        much. A speckle term on the finest scale (``speckle_scales="all"``) counts as exact.
         """
         rng, F, match = np.random.default_rng(seed), self.functional, self.match
         w1, w2 = match.grid.weights
-        squares = np.zeros_like(self.u)
-        for _ in range(samples):
+        for _ in range(count):
             noise = random_signs(match.grid.shape, rng) * match.used * match.r
             b = match.g * noise + match.noise * F.rough(rng) / np.outer(w2, w1)
             v = multigrid(replace(F, terms=Pointwise(F.terms.A, b)), tol=1e-2)
-            squares += v**2
-        return np.sqrt(squares / samples) / np.reshape(match.grid.spacing, (2, 1, 1))
+            yield v / np.reshape(match.grid.spacing, (2, 1, 1))
 
 
 def estimate_displacement(
@@ -133,7 +138,7 @@ def estimate_displacement(
     edges : dict of ndarray, shape (2, n), optional
         Known motion ``g`` of the n pixels of some edges, px, eq. (bdc_Dirichlet).
     dead : ndarray of bool, shape (height, width), optional
-        Pixels before compression that carry no data.
+        Pixels that carry no data, in both images.
     pixel_size : (lateral, axial)
         Sides of a pixel in any unit. Where they differ, smoothness and sigma are measured
         in true lengths, in units of their geometric mean.
@@ -249,13 +254,15 @@ class _Problem:
             known.append(edge_term(grid, edges, settings.edge_weight))
             edges = {}
         prescribed, free = _prescribed(grid, edges)
-        tried = any(grid is fine for fine in self.grids[-2:]) and (finest or enough(grid.shape))
+        tried = any(grid is fine for fine in self.grids[-2:]) and enough(grid.shape)
+        # The first field of a scale may still be far from it, and its residual no noise.
+        near = min(1, settings.warps - 1)
         for warp in range(settings.warps):
             match = pair.linearise(u)
-            if warp == settings.warps - 1:
+            if warp >= near:
                 match = match.filtered(settings.denoising)
             alpha = settings.alpha or self.alpha or first_alpha(match)
-            if settings.alpha is None and tried and warp == min(1, settings.warps - 1):
+            if settings.alpha is None and tried and warp == near:
                 chosen = choose_alpha(match, u_bg, prescribed, free, alpha)
                 self.weights.append(chosen)
                 alpha = self.alpha or chosen

@@ -18,6 +18,8 @@ Mask = NDArray[np.bool_]
 BLOCK = 8
 # Width of the filter of white noise, and below which there is none, samples.
 WHITE, SHARP = 0.6, 0.2
+# Share of data at a place between pixels that carry data and others.
+LIVE = 0.9
 TINY = np.finfo(np.float64).tiny
 
 
@@ -111,7 +113,7 @@ class ImagePair:
     grid : Grid
     I1, I2 : ndarray, shape (height, width)
     live : ndarray of bool, shape (height, width)
-        Pixels of I1 that carry data.
+        Pixels that carry data, in both images.
     mean : bool
         Whether g is the mean of the gradients of I1 and of the warped I2, which is exact to
         second order and halves the variance of their noise, or the gradient of I1, as in
@@ -133,7 +135,10 @@ class ImagePair:
         else:
             warped, inside = self._spline.warp(samples)
             g = self._gradient
-        return Match(self.grid, u, g, warped - self.I1, inside & self.live)
+        used = inside & self.live
+        if not self.live.all():
+            used &= Spline(self.live.astype(np.float64)).warp(samples)[0] > LIVE
+        return Match(self.grid, u, g, warped - self.I1, used)
 
     @cached_property
     def _spline(self) -> Spline:

@@ -20,7 +20,7 @@ def add_options(group: argparse._ArgumentGroup, section: type[Section]) -> None:
             f"--{name.replace('_', '-')}",
             metavar="VALUE",
             nargs="*" if section.takes_many(name) else None,
-            type=parse_value,
+            type=parse_optional if "None" in str(field.annotation) else parse_value,
             default=argparse.SUPPRESS,
             help=f"{field.description} (default: {'none' if shown in ('', None) else shown}"
             + (f"; paper: {PAPER[name]}" if section is Estimation and name in PAPER else "")
@@ -34,6 +34,11 @@ def parse_value(text: str) -> Any:
         return json.loads(text)
     except json.JSONDecodeError:
         return text
+
+
+def parse_optional(text: str) -> Any:
+    """The same where there may be no value, for which help and tables say none."""
+    return None if text == "none" else parse_value(text)
 
 
 def settings_of(section: type[S], args: argparse.Namespace) -> S:

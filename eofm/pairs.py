@@ -124,8 +124,8 @@ def analyse(
         if step.deviation is not None:
             variance += np.maximum(warp_field(step.deviation**2, total), 0)
         total = total + warp_field(step.estimate.u, total)
-        for edge, g in scene.edges.items() if estimation.edge_weight is None else ():
-            total[:, *EDGES[edge]] = len(steps) * g
+        for edge in scene.edges if estimation.edge_weight is None else ():
+            total[:, *EDGES[edge]] = sum(s.estimate.u[:, *EDGES[edge]] for s in steps)
     spacing = unit_spacing(pair.pixel_size)
     window = pair.strain_window or 3 * float(np.sqrt(np.prod(pair.pixel_size)))
     first, last = scene.frames[0], scene.frames[-1]
@@ -147,6 +147,14 @@ def analyse(
         ),
         "share_of_data_median": float(np.median(share)),
     }
+    if (found := steps[0].stiffness) is not None:
+        summary["stiffness"] = {
+            "modulus_range": [float(found.E.min()), float(found.E.max())],
+            "edge_motion_factor": found.scale,
+            "gamma": found.gamma,
+            "rounds": found.rounds,
+            "last_change_of_u": found.change,
+        }
     deviation = np.sqrt(variance) if pair.error_bars else None
     if deviation is not None:
         summary["deviation_median_px"] = [float(np.median(d)) for d in deviation]
@@ -192,16 +200,17 @@ def _step(
         x1=bubbles.x1 + bubbles.u1, x2=bubbles.x2 + bubbles.u2, u1=-bubbles.u1, u2=-bubbles.u2
     )
     back = back[inside(I2.shape, back[["x1", "x2"]].to_numpy().T)]
-    w_bg = None
-    if scene.background is not None:
-        w_bg = -warp_field(scene.background, -scene.background)
+    # What the way there knew, the way back knows too.
+    u_bg = scene.background if stiffness is None else stiffness.elastic
+    scale = 1.0 if stiffness is None else stiffness.scale
     w = estimate_displacement(
         I2,
         I1,
         estimation.model_copy(update={"alpha": estimate.alpha}),
         bubbles=back,
-        background=w_bg,
-        edges={edge: -g for edge, g in scene.edges.items()},
+        background=None if u_bg is None else -warp_field(u_bg, -u_bg),
+        edges={edge: -scale * g for edge, g in scene.edges.items()},
+        dead=scene.dead,
         **shared,
     ).u
     return Step(

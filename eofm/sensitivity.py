@@ -54,7 +54,7 @@ class Elastic:
     def shape(self) -> tuple[int, int]:
         """Rows and columns of elements."""
         lengths = ((n - 1) * h for n, h in zip(self.sample.shape, self.spacing[::-1], strict=True))
-        rows, columns = (max(2, round(length / self.cell)) for length in lengths)
+        rows, columns = (max(3, round(length / self.cell)) for length in lengths)
         return rows, columns
 
     @cached_property

@@ -157,7 +157,7 @@ def identify_stiffness(
 
     blind = estimation.model_copy(update={"zero_edges": ()})
     free = estimate_displacement(I1, I2, blind, background=u_bg, **known)
-    scale = _scale(free.u, u_bg, motion, settings)
+    scale = _scale(free, u_bg, motion, settings)
     motion, u_bg = {edge: scale * g for edge, g in motion.items()}, scale * u_bg
     # A contact that slips leaves the motion along the edge open.
     known["edges"] = None if slip else motion
@@ -238,24 +238,33 @@ def _check(I1: Array, I2: Array, sample: Sample, motion: dict[Edge, Array]) -> N
         )
 
 
-def _scale(u: Array, u_bg: Array, edges: Iterable[Edge], settings: Identification) -> float:
+def _scale(free: Estimate, u_bg: Array, edges: Iterable[Edge], settings: Identification) -> float:
     """Factor of the edges' motion for which the images ask, 1 where it is near 1.
 
-    ``u`` is an estimate that does not know the edges. The factor is the least squares fit of
-    the medians along them, less their mean, to those of the stated motion.
+    ``free`` does not know the edges. The factor is the least squares fit of the medians along
+    them, less their mean, to those of the stated motion.
 
     Raises
     ------
     InputError
-        If the images contradict the motion of an edge by more than ``settings.doubt``.
+        If the images contradict the motion of an edge by more than ``settings.doubt``, or the
+        edges move alike over most of their length.
     """
-    seen, stated = (
-        np.array([np.median(v[:, *EDGES[e]], axis=1) for e in edges]) for v in (u, u_bg)
-    )
+
+    def medians(v: Array) -> Array:
+        return np.array([np.median(v[:, *EDGES[edge]], axis=1) for edge in edges])
+
+    seen, stated = medians(free.u), medians(u_bg)
     a, b = seen - seen.mean(0), stated - stated.mean(0)
+    largest = float(np.abs(stated).max())
+    if np.abs(b).max() <= 0.01 * largest:
+        raise InputError(
+            "stiffness cannot be told from edges most of which move alike; it needs two that move"
+            " differently over most of their length"
+        )
     scale = float((a * b).sum() / (b * b).sum())
     wrong = float(np.abs(seen - stated).max())
-    if wrong > max(settings.doubt * np.abs(stated).max(), UNCERTAIN):
+    if wrong > max(settings.doubt * largest, UNCERTAIN) or abs(scale - 1) > settings.doubt:
         raise InputError(
             f"the images contradict the motion of the edges by {wrong:.2f} px and would have"
             f" {scale:.3f} times of it; state it better, or raise the doubt ({settings.doubt:g})"

@@ -157,6 +157,7 @@ def test_all_outputs_are_checked_before_any_work(folder, tmp_path, capsys):
     out = tmp_path / "u.tif"
     missing = tmp_path / "no" / "sd.tif"
     fails(capsys, ["estimate", *pair, "--output", out, "--deviation", missing], "sd")
+    fails(capsys, ["estimate", *pair, "--output", out, "--deviation", out], "two results")
     fails(capsys, ["estimate", *pair, "--output", tmp_path], "is a folder")
     assert not list(tmp_path.iterdir())
 
@@ -176,6 +177,12 @@ def test_error_bars_and_stiffness_as_their_help_says(folder, tmp_path, capsys):
     assert E[disc].mean() > 1.1 * E[~disc].mean()
     assert np.median(E) == pytest.approx(1, abs=0.05)
     assert tifffile.imread(out[3]).shape == E.shape
+
+
+def test_none_is_said_as_help_says_it(folder, tmp_path):
+    words = ["estimate", str(folder / "a.tif"), str(folder / "b.tif"), "--method", "paper"]
+    words += ["--output", str(tmp_path / "u.tif"), "--smoothness", "bending", "--scales", "none"]
+    assert main([*words, "--alpha", "none"]) == 0
 
 
 def test_no_bubble_found(folder, tmp_path, capsys):

@@ -101,3 +101,20 @@ def test_table_of_true_bubbles_serves_as_well(pair, truth):
     I1, I2, bubbles = pair
     u = eofm.estimate_displacement(I1, I2, bubbles=bubbles[["x1", "x2", "u1", "u2"]]).u
     assert eofm.relative_errors(u, truth)["e_rel"] < 40
+
+
+def test_what_moves_into_a_dead_zone_carries_no_data(rng):
+    """A zone that is filled in both images does not spoil what is below it and moves up."""
+    x2, x1 = np.mgrid[:80, :96].astype(float)
+    u = np.stack([0 * x1, -4 * x2 / 79])
+    big = speckle((120, 136), rng, 2.0)
+    I2 = big[20:100, 20:116].copy()
+    I1 = evaluate(big, np.stack([x1, x2]) + u + 20)
+    dead = np.zeros(I1.shape, dtype=bool)
+    dead[30:50, 30:66] = True
+    plain = eofm.estimate_displacement(I1, I2).u
+    I1[dead] = I2[dead] = 0.5
+    masked = eofm.estimate_displacement(I1, I2, dead=dead).u
+    below = np.s_[50:56, 30:66]
+    errors = [np.hypot(*(v - u))[below].mean() for v in (masked, plain)]
+    assert errors[0] < 3 * errors[1] + 0.01

@@ -6,6 +6,7 @@ import h5py
 import numpy as np
 import pandas as pd
 import pytest
+import test_stiffness
 import tifffile
 from scipy.io import savemat
 
@@ -259,3 +260,29 @@ def test_bad_descriptions_end_before_any_work(files, more, message):
     with pytest.raises(eofm.InputError, match=message) as caught:
         prepare(describe(files, **more))
     assert "\n" not in str(caught.value)
+
+
+def test_a_sample_is_identified_with_the_motion_that_the_images_show(tmp_path):
+    """The bottom moves by 2 px, not by the 2.2 px stated."""
+    for name, I in zip(("before", "after"), test_stiffness.pair()[:2], strict=True):
+        tifffile.imwrite(tmp_path / f"{name}.tif", I.astype(np.float32))
+    pair = describe(
+        tmp_path, top="fixed", bottom="moved 0 -2.2", poisson_ratio=0.492, stiffness=True
+    )
+    found = analyse(pair)
+    factor = found.summary["stiffness"]["edge_motion_factor"]
+    assert 2.2 * factor == pytest.approx(2.0, abs=0.05)
+    np.testing.assert_allclose(found.u[1, -1], -2.2 * factor, atol=1e-9)
+    write_results(found, pair, tmp_path)
+    assert tifffile.imread(tmp_path / "stiffness.tif").shape == found.first.shape
+    assert tifffile.imread(tmp_path / "stiffness_deviation.tif").min() > 0
+    assert tifffile.imread(tmp_path / "deviation.tif").shape == found.u.shape
+    write_results(analyse(describe(tmp_path, error_bars=0), estimation=QUICK), pair, tmp_path)
+    assert not (tmp_path / "stiffness.tif").exists()
+    assert not (tmp_path / "deviation.tif").exists()
+
+
+def test_stiffness_wants_the_whole_sample(files):
+    edges = {"top": "fixed", "bottom": "outside moved 0 -2.5"}
+    with pytest.raises(eofm.InputError, match="stiffness: wants the whole sample"):
+        prepare(describe(files, **edges, stiffness=True))

@@ -179,6 +179,7 @@ def test_dry_run_counts_the_jobs_of_a_fresh_project(tmp_path, pytestconfig):
         ("bubbles", {"track", "estimate", "table1"}, {"phantom", "true_field"}),
         ("metrics", {"evaluate", "table1"}, {"estimate", "track"}),
         ("functional", {"estimate"}, {"track", "phantom"}),
+        ("stencils", {"estimate", "preset"}, {"track", "phantom"}),
     ],
 )
 def test_editing_a_module_reruns_the_rules_that_use_it(project, module, rerun, kept):

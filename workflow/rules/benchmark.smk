@@ -108,6 +108,7 @@ rule benchmark_tables:
             size=settings.benchmark.sizes,
         ),
         code=code("figures"),
+        marks="workflow/scripts/marks.py",
     output:
         estimate=report(
             f"{BENCHMARK}/estimate.csv",

@@ -45,12 +45,11 @@ def code(*modules):
         if path in found:
             continue
         found.add(path)
-        queue += [
-            node.module.removeprefix("eofm.")
-            for node in ast.parse(path.read_text()).body
-            if isinstance(node, ast.ImportFrom)
-            and (node.module or "").startswith("eofm.")
-        ]
+        for node in ast.parse(path.read_text()).body:
+            if isinstance(node, ast.ImportFrom) and node.module == "eofm":
+                queue += [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom) and node.module.startswith("eofm."):
+                queue.append(node.module.removeprefix("eofm."))
     return sorted(map(str, found))
 
 
@@ -59,7 +58,9 @@ def options(*sections):
     words = []
     for section in sections:
         for name, value in section.model_dump(mode="json").items():
-            if value is not None:
+            if value is None and name in eofm.config.PAPER:
+                words += [f"--{name.replace('_', '-')}", "none"]
+            elif value is not None:
                 words.append(f"--{name.replace('_', '-')}")
                 words += [
                     item if isinstance(item, str) else json.dumps(item)

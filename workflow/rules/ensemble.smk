@@ -13,7 +13,7 @@ rule ensemble:
 
 rule ensemble_phantom:
     input:
-        code=code("phantom", "bubbles", "estimate", "stiffness", "uncertainty"),
+        code=code("phantom", "bubbles", "stiffness", "uncertainty", "metrics"),
     output:
         **{
             name: f"{ENSEMBLE}/{{number}}/{name}.tif"
@@ -86,6 +86,7 @@ rule ensemble_table:
         ours=expand("{folder}/{n}/errors.csv", folder=ENSEMBLE, n=NUMBERS),
         others=expand("{folder}/{n}/peers.csv", folder=ENSEMBLE, n=NUMBERS),
         code=code("figures"),
+        marks="workflow/scripts/marks.py",
     output:
         table=report(
             f"{ENSEMBLE}/test6.csv",
