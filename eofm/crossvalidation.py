@@ -124,14 +124,16 @@ class _Trial:
 
 
 def _windows(shape: tuple[int, int]) -> list[tuple[slice, slice]]:
-    """The image, or windows about the middles of its quarters where it is large."""
+    """The image or, where it is large, windows in the middles of opposite quarters or halves."""
 
     def cuts(n: int) -> list[slice]:
         if n <= 2 * WINDOW:
             return [slice(0, n)]
         return [slice(c - WINDOW // 2, c + WINDOW // 2) for c in (n // 4, 3 * n // 4)]
 
-    return [(rows, columns) for rows in cuts(shape[0]) for columns in cuts(shape[1])]
+    rows, columns = cuts(shape[0]), cuts(shape[1])
+    count = max(len(rows), len(columns))
+    return [(rows[k % len(rows)], columns[k % len(columns)]) for k in range(count)]
 
 
 def _cut(match: Match, window: tuple[slice, slice]) -> Match:
