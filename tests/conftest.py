@@ -1,5 +1,11 @@
 """Small samples that the tests share."""
 
+import os
+
+# The command sets this for its own process, which here is that of all tests; numba reads it
+# again whenever it compiles, and does not let it change.
+os.environ.setdefault("NUMBA_NUM_THREADS", "2")
+
 import numpy as np
 import pytest
 from hypothesis import settings
