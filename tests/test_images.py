@@ -5,6 +5,7 @@ from conftest import speckle
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
+from scipy.interpolate import CubicSpline
 
 from eofm.errors import InputError
 from eofm.images import (
@@ -15,6 +16,7 @@ from eofm.images import (
     inside,
     normalise,
     resize,
+    resize_field,
     warp,
 )
 
@@ -174,6 +176,30 @@ def test_resize_is_blur_and_spline(shape, rng):
         c, np.meshgrid(*x, indexing="ij"), mode="mirror", prefilter=False
     )
     np.testing.assert_allclose(resize(I, shape), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_odd_spline_is_the_natural_one_of_scipy(shape, rng):
+    I = rng.normal(size=shape)
+    x = rng.uniform(0, 1, (2, 50)) * np.reshape(shape[::-1], (2, 1)) - 0.5
+    x = x.clip(0, np.reshape(shape[::-1], (2, 1)) - 1)
+
+    def natural(values):
+        return CubicSpline(np.arange(len(values)), values, bc_type="natural")
+
+    columns = natural(I)(x[1])
+    expected = [natural(row)(at) for row, at in zip(columns, x[0], strict=True)]
+    np.testing.assert_allclose(Spline(I, odd=True).evaluate(x), expected, atol=1e-12)
+
+
+@given(st.integers(4, 40), st.integers(4, 40), st.integers(4, 40), st.integers(4, 40))
+def test_resized_fields_keep_linear_functions(height, width, rows, columns):
+    def strained(shape):
+        x2, x1 = np.meshgrid(*(np.linspace(0, 1, n) for n in shape), indexing="ij")
+        return np.stack([3 * x1 - x2 + 1, x1 - 2 * x2])
+
+    resized = resize_field(strained((height, width)), (rows, columns))
+    np.testing.assert_allclose(resized, strained((rows, columns)), atol=1e-10)
 
 
 def test_same_bytes_with_one_and_two_threads(rng):
