@@ -28,7 +28,7 @@ BLOCKS = 20
 MARGIN = 2
 # Side of the windows that stand for a large image, px.
 WINDOW = 192
-# Relative residual of the trial solves.
+# Change of v by the last iteration of a trial solve, px.
 ACCURACY = 1e-2
 # Part of the image's mean data term that is added to all: a window may be black.
 RIDGE = 1e-9
@@ -118,7 +118,7 @@ class _Trial:
     def misfit(self, alpha: float) -> float:
         """Sum of the squared residual on the pixels that are held out."""
         F = Quadratic(self.match.grid, self.terms, alpha, self.free, "bending")
-        self.v = multigrid(F.shifted(self.prescribed), tol=ACCURACY, initial=self.v)
+        self.v = multigrid(F.shifted(self.prescribed), change=ACCURACY, initial=self.v)
         r = self.match.residual(self.about + self.prescribed + self.v)
         return float(np.sum(r[self.out] ** 2))
 

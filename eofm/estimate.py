@@ -34,10 +34,9 @@ from eofm.multiscale import coarse_to_fine, pyramid, solving
 
 Array = NDArray[np.float64]
 
-# Relative residual of the last solve; u changes by less than 1e-4 px below it.
-TOLERANCE = {"gradient": 1e-4, "bending": 1e-3}
-# The same of solves that are followed by another about their result.
-ROUGH = 1e-2
+# Change of u by the last iteration of the last solve, px, which leaves a tenth of that; and of
+# solves that are followed by another about their result.
+FINE, ROUGH = 1e-3, 1e-2
 
 
 @dataclass(frozen=True)
@@ -271,8 +270,8 @@ class _Problem:
             about = u_bg + prescribed
             last = finest and warp == settings.warps - 1
             with solving(grid, self.progress) as report:
-                tol = TOLERANCE[settings.smoothness] if last else ROUGH
-                u = about + multigrid(F, tol=tol, initial=u - about, report=report)
+                change = FINE if last else ROUGH
+                u = about + multigrid(F, change=change, initial=u - about, report=report)
         if finest:
             h = np.reshape(grid.spacing, (2, 1, 1))
             self.found = Estimate(u / h, alpha, pair, settings.denoising, F)

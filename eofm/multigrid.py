@@ -7,7 +7,8 @@ iterations that depends neither on the size nor on the image:
   small are coarsened, until both spacings are alike: then pointwise smoothing suffices.
 - The smoothness term is discretised anew on each grid, but the pointwise term is the
   Galerkin product of bilinear interpolation. An average of the 2 x 2 matrices instead would
-  forbid a sharp bubble to turn or to be strained, and cost 3 times the iterations.
+  forbid a sharp bubble to turn or to be strained, and cost 3 times the iterations; where the
+  smoothness term is so large that it forbids that itself, the average is as good and faster.
 - Pixels where ``v = 0`` are stiff pixels of the pointwise term on all but the finest grid.
 - The smoother is the Chebyshev iteration of the fourth kind of Lottes, Numer. Linear
   Algebra Appl. 30 (2023) e2518, which needs an upper bound of the spectrum only. It is a
@@ -31,7 +32,9 @@ Array = NDArray[np.float64]
 
 # Rows and columns below which there is no coarser grid.
 COARSEST = 6
-# Largest pointwise term, over the smoothness term, for which few steps of the smoother do.
+# Largest pointwise term, over the smoothness term, for which its average does on coarse grids.
+AVERAGE = {"gradient": 1.0, "bending": 0.02}
+# The same, for which few steps of the smoother do.
 CONTRAST = 50.0
 # The same, below which single precision does for the preconditioner: in D^-1 it costs so much
 # of its 2^24. Bending needs double precision anyway, since motions across a whole image are
@@ -54,6 +57,7 @@ def multigrid(
     F: Quadratic,
     *,
     tol: float = 1e-8,
+    change: float = 0.0,
     max_iterations: int = 100,
     initial: Array | None = None,
     report: Callable[[int, float], None] | None = None,
@@ -66,6 +70,9 @@ def multigrid(
         With at least 2 pixels in each direction.
     tol : float
         Bound on ``|b - K v| / |b|`` in the Euclidean norm of the free values.
+    change : float
+        Stop as well after an iteration that changes v by no more than this, root mean square,
+        px: about a tenth of that is left.
     max_iterations : int
         Of the conjugate gradients.
     initial : ndarray, shape (2, height, width), optional
@@ -99,11 +106,11 @@ def multigrid(
             x.fill(0.0)
         del initial  # maybe nobody else's
     b = r.astype(top.x.dtype)
-    residual, zr = _norm(r) / size, math.inf
+    residual, zr, changed = _norm(r) / size, math.inf, math.inf
     for iteration in range(max_iterations + 1):
         if report is not None:
             report(iteration, residual)
-        if residual <= tol:
+        if residual <= tol or changed <= change:
             return _inner(x)
         if iteration == max_iterations:
             break
@@ -111,7 +118,8 @@ def multigrid(
         before, zr = zr, stencils.dot(z, r).sum()
         stencils.redirect(p, z, zr / before)
         pq = stencils.product(q, p, *operator).sum()
-        residual = math.sqrt(stencils.advance(x, r, b, p, q, zr / pq).sum()) / size
+        squares = stencils.advance(x, r, b, p, q, zr / pq).sum(axis=1)
+        residual, changed = math.sqrt(squares[0]) / size, math.sqrt(squares[1] / F.free.size)
     raise NotConverged(
         f"multigrid: relative residual {residual:.1e} instead of {tol:.1e} "
         f"after {max_iterations} iterations"
@@ -239,6 +247,7 @@ def hierarchy(F: Quadratic) -> Level | Coarsest:
             " undetermined; give a bubble or an edge, or a smaller mask"
         )
     precision = np.float64 if bending or contrast > SINGLE else np.float32
+    couplings = 12 if contrast > AVERAGE[F.smoothness] else 0
 
     levels = []
     h1, h2 = map(float, F.grid.spacing)
@@ -249,7 +258,7 @@ def hierarchy(F: Quadratic) -> Level | Coarsest:
         if min(nc, mc) < COARSEST:
             break
         transfer = (*_between(m, mc), *_between(n, nc))
-        A, G = np.empty((3, nc, mc)), np.empty((12, nc, mc))
+        A, G = np.empty((3, nc, mc)), np.empty((couplings, nc, mc))
         stencils.coarsen(A, G, *(*operator[:-1], *transfer))
         h1, h2 = h1 * (m - 1) / (mc - 1), h2 * (n - 1) / (nc - 1)
         X1, X2 = _tables((nc, mc), (h1, h2), F.alpha, bending)

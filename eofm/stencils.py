@@ -11,7 +11,7 @@ An operator K is passed as ``A, G, free, X1, X2, bending``:
   ``a_p A_p`` is the sum over each row of blocks: the pointwise energy is
   ``sum_p a_p u_p . A_p u_p - sum_pq (u_p - u_q) . G_pq (u_p - u_q)``;
 - ``G``, shape (12, n, m): its blocks between a node and the next ones in the directions
-  ``AHEAD``; shape (0, n, m) on the finest grid, where there are none;
+  ``AHEAD``; shape (0, n, m) where there are none, as on the finest grid;
 - ``free``, bool, shape (n, m): False where K u is not wanted;
 - ``X1``, shape (11, m), and ``X2``, shape (11, n): the tables of :func:`axis_table`;
 - ``bending``: which smoothness the tables are made for.
@@ -314,7 +314,7 @@ def _coarsen_strip(Ac, Gc, low, A, G, free, X1, X2, J1, t1, J2, t2):
     nc, mc = Ac.shape[1:]
     high = min(low + STRIP, nc)
     top = low - 2
-    S = np.zeros((15, high - top + 2, mc + 1))
+    S = np.zeros((3 + Gc.shape[0], high - top + 2, mc + 1))
     for i in range(np.searchsorted(J2, top), np.searchsorted(J2, high)):
         I = J2[i] - top
         for j in range(m):
@@ -329,9 +329,10 @@ def _coarsen_strip(Ac, Gc, low, A, G, free, X1, X2, J1, t1, J2, t2):
             _share(S, 0, I, J1[j], w, a11)
             _share(S, 1, I, J1[j], w, a12)
             _share(S, 2, I, J1[j], w, a22)
-            _couple(S, 0, I, J1[j], w, a11)
-            _couple(S, 1, I, J1[j], w, a12)
-            _couple(S, 2, I, J1[j], w, a22)
+            if Gc.shape[0]:
+                _couple(S, 0, I, J1[j], w, a11)
+                _couple(S, 1, I, J1[j], w, a12)
+                _couple(S, 2, I, J1[j], w, a22)
         for o in range(G.shape[0] // 3):
             a, b = AHEAD[o]
             if i + a == n:
@@ -359,8 +360,8 @@ def _coarsen_strip(Ac, Gc, low, A, G, free, X1, X2, J1, t1, J2, t2):
 def coarsen(Ac, Gc, A, G, free, X1, X2, J1, t1, J2, t2):
     """Write the Galerkin product of the pointwise term with bilinear interpolation.
 
-    ``Ac`` is not divided by area yet. Nodes that are not free are as stiff as the smoothness
-    term. On grids that are not nested the product can couple next but one neighbours: we
+    ``Ac`` is not divided by area yet, and an empty ``Gc`` leaves couplings out. Nodes that are
+    not free are as stiff as the smoothness term. On grids that are not nested the product can couple next but one neighbours: we
     leave these out, which keeps the sums over rows and can only stiffen the energy.
     """
     strips = (Ac.shape[1] - 1) // STRIP + 1
@@ -374,26 +375,31 @@ def coarsen(Ac, Gc, A, G, free, X1, X2, J1, t1, J2, t2):
 
 @njit(cache=True, fastmath={"reassoc", "contract"})
 def _advance_row(x, r, b, p, q, step, i):
-    total = 0.0
+    residual, change = 0.0, 0.0
     for c in range(2):
         for j in range(r.shape[2]):
-            x[c, i + 2, j + 2] += step * p[c, i + 2, j + 2]
+            d = step * p[c, i + 2, j + 2]
+            x[c, i + 2, j + 2] += d
             r[c, i, j] -= step * q[c, i, j]
             b[c, i, j] = r[c, i, j]
-            total += r[c, i, j] ** 2
-    return total
+            residual += r[c, i, j] ** 2
+            change += d * d
+    return residual, change
 
 
 @njit(cache=True, parallel=True)
 def advance(x, r, b, p, q, step):
-    """``x += step p``, ``r -= step q``, ``b = r``; return ``r . r`` summed over each row."""
-    sums = np.empty(r.shape[1])
+    """``x += step p``, ``r -= step q``, ``b = r``.
+
+    Return the squares of r and of the change of x, summed over each row, shape (2, n).
+    """
+    sums = np.empty((2, r.shape[1]))
     if r.size < SERIAL:
         for i in range(r.shape[1]):
-            sums[i] = _advance_row(x, r, b, p, q, step, i)
+            sums[0, i], sums[1, i] = _advance_row(x, r, b, p, q, step, i)
     else:
         for i in prange(r.shape[1]):
-            sums[i] = _advance_row(x, r, b, p, q, step, i)
+            sums[0, i], sums[1, i] = _advance_row(x, r, b, p, q, step, i)
     return sums
 
 

@@ -194,3 +194,14 @@ def test_undetermined_motions(shape, smoothness, free):
     F.free[0] = free == "all"
     with pytest.raises(InputError, match="no unique minimiser"):
         multigrid(Quadratic(F.grid, Pointwise(0 * F.terms.A, F.terms.b), 1.0, F.free, smoothness))
+
+
+@pytest.mark.parametrize("smoothness", SMOOTHNESS)
+@pytest.mark.parametrize("image", ["speckle", "bubbles"])
+def test_a_small_change_leaves_a_smaller_error(image, smoothness):
+    F = problem((60, 80), smoothness, image=image)
+    exact = multigrid(F, tol=1e-12)
+    for change in (1e-2, 1e-4):
+        v, residuals = solve(F, change=change)
+        assert len(residuals) > 1
+        assert np.sqrt(np.mean(((v - exact) ** 2).sum(axis=0))) < 0.5 * change
