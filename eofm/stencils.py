@@ -361,8 +361,9 @@ def coarsen(Ac, Gc, A, G, free, X1, X2, J1, t1, J2, t2):
     """Write the Galerkin product of the pointwise term with bilinear interpolation.
 
     ``Ac`` is not divided by area yet, and an empty ``Gc`` leaves couplings out. Nodes that are
-    not free are as stiff as the smoothness term. On grids that are not nested the product can couple next but one neighbours: we
-    leave these out, which keeps the sums over rows and can only stiffen the energy.
+    not free are as stiff as the smoothness term. On grids that are not nested the product can
+    couple next but one neighbours: we leave these out, which keeps the sums over rows and can
+    only stiffen the energy.
     """
     strips = (Ac.shape[1] - 1) // STRIP + 1
     if free.size < SERIAL:
