@@ -3,9 +3,9 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from eofm.config import Edge, Estimation
@@ -31,6 +31,9 @@ from eofm.images import (
 from eofm.matching import ImagePair, Match, random_signs
 from eofm.multigrid import multigrid
 from eofm.multiscale import coarse_to_fine, pyramid, solving
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Array = NDArray[np.float64]
 
@@ -113,7 +116,7 @@ def estimate_displacement(
     I2: Array,
     settings: Estimation = Estimation(),
     *,
-    bubbles: pd.DataFrame | None = None,
+    bubbles: "pd.DataFrame | None" = None,
     background: Array | None = None,
     edges: dict[Edge, Array] | None = None,
     dead: NDArray[np.bool_] | None = None,
@@ -290,7 +293,7 @@ def normalised(
     return normalise_locally(I1, window), normalise_locally(I2, window)
 
 
-def _arrays(table: pd.DataFrame | None, shape: tuple[int, ...]) -> tuple[Array, Array]:
+def _arrays(table: "pd.DataFrame | None", shape: tuple[int, ...]) -> tuple[Array, Array]:
     """Centres and motions of a table of bubbles, shape (2, M) each, px; none give M = 0.
 
     Raises

@@ -11,15 +11,17 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 import tifffile
 import yaml
 from numpy.typing import NDArray
 
 from eofm.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Array = NDArray[np.float64]
 
@@ -141,12 +143,12 @@ def write_json(path: Path, values: dict[str, Any]) -> None:
         temporary.write_text(json.dumps(values, indent=2) + "\n")
 
 
-def read_bubbles(path: Path) -> pd.DataFrame:
+def read_bubbles(path: Path) -> "pd.DataFrame":
     """Read a table of bubbles with at least the columns x1, x2, u1, u2, px."""
     return read_columns(path, BUBBLE_COLUMNS)
 
 
-def read_columns(path: Path, columns: tuple[str, ...]) -> pd.DataFrame:
+def read_columns(path: Path, columns: tuple[str, ...]) -> "pd.DataFrame":
     """Read a CSV table that has at least some columns of numbers.
 
     Raises
@@ -155,6 +157,8 @@ def read_columns(path: Path, columns: tuple[str, ...]) -> pd.DataFrame:
         If the file is missing, is no table, lacks a column or holds something else
         than finite numbers in it.
     """
+    import pandas as pd  # takes a quarter of a second that images alone do not need
+
     try:
         table = pd.read_csv(path)
     except (OSError, UnicodeDecodeError, pd.errors.ParserError, pd.errors.EmptyDataError) as error:
@@ -192,7 +196,7 @@ def read_settings(path: Path) -> dict[str, Any]:
     return values
 
 
-def write_table(path: Path, table: pd.DataFrame) -> None:
+def write_table(path: Path, table: "pd.DataFrame") -> None:
     """Write a table as CSV, with six decimals."""
     with replacing(path) as temporary:
         table.to_csv(temporary, index=False, float_format="%.6f", lineterminator="\n")
