@@ -18,7 +18,7 @@ from skimage.segmentation import watershed
 
 from eofm.config import Tracking
 from eofm.errors import InputError
-from eofm.images import Spline, evaluate_field, gradient, inside, normalise
+from eofm.images import Spline, blur, evaluate_field, gradient, inside, normalise
 
 Array = NDArray[np.float64]
 
@@ -99,7 +99,7 @@ def detect(I: Array, settings: Tracking = Tracking()) -> pd.DataFrame:
     The threshold is a part of the range from the 0.5th to the 99.5th percentile.
     Bubbles that are cut by the image's edge count like any other.
     """
-    smooth = ndimage.gaussian_filter(I, settings.smoothing, mode="mirror")
+    smooth = blur(I, settings.smoothing)
     low, high = np.percentile(smooth, [0.5, 99.5])
     level = low + settings.threshold * (high - low)
     # Plateaus, as of saturated bubbles, count as one peak each.

@@ -8,7 +8,6 @@ grid, so that a coarser image of the same sample has the same corners.
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 from eofm import interpolation
 from eofm.errors import InputError
@@ -59,12 +58,8 @@ def normalise_locally(I: Array, window: tuple[float, float]) -> Array:
     deviations fill half of [0, 1], and contrast is not raised where there is a tenth of
     the image's or less.
     """
-
-    def mean(J: Array) -> Array:
-        return ndimage.gaussian_filter(J, window[::-1], mode="mirror")
-
-    deviation = I - mean(I)
-    contrast = np.sqrt(mean(deviation**2) + (0.1 * I.std()) ** 2)
+    deviation = I - blur(I, window)
+    contrast = np.sqrt(blur(deviation**2, window) + (0.1 * I.std()) ** 2)
     return 0.5 + deviation / (6 * contrast)
 
 
@@ -175,23 +170,54 @@ def _terms(old: int, new: int, odd: bool) -> tuple[NDArray[np.intp], Array]:
     it may act on coefficients.
     """
     f = (old - 1) / (new - 1)
-    blur = 0.5 * np.sqrt(max(f**2 - 1, 0))
-    radius = int(4 * blur + 0.5)
-    gauss = np.exp(-0.5 * (np.arange(-radius, radius + 1) / max(blur, 1e-9)) ** 2)
+    offsets, gauss = _gaussian(0.5 * np.sqrt(max(f**2 - 1, 0)))
     position = f * np.arange(new)
     first = np.minimum(position.astype(np.intp), old - 2)
     spline = np.stack(interpolation.weights(position - first)[0], axis=1)
-    w = np.zeros((new, 4 + 2 * radius))
-    for k, g in enumerate(gauss / gauss.sum()):
+    w = np.zeros((new, 3 + len(gauss)))
+    for k, g in enumerate(gauss):
         w[:, k : k + 4] += g * spline
-    copies, at = np.divmod(first[:, None] + np.arange(-1 - radius, radius + 3), old - 1)
-    turned = copies % 2
-    at = np.where(turned, old - 1 - at, at)
-    if odd:  # copy k is raised k times by the difference of the ends
+    at, copies = _mirrored(first[:, None] + np.arange(offsets[0] - 1, offsets[-1] + 3), old)
+    if odd:  # copy k is turned where k is odd, and raised k times by the difference of the ends
+        turned = copies % 2
         lower, upper = np.sum(w * (turned - copies), 1), np.sum(w * (turned + copies), 1)
         w = np.column_stack([np.where(turned, -w, w), lower, upper])
         at = np.column_stack([at, np.zeros_like(first), np.full_like(first, old - 1)])
     return at + 1, w
+
+
+def _gaussian(width: float) -> tuple[NDArray[np.intp], Array]:
+    """Offsets of samples and their weights in a Gaussian average, cut off at 4 widths."""
+    radius = int(4 * width + 0.5)
+    offsets = np.arange(-radius, radius + 1)
+    gauss = np.exp(-0.5 * (offsets / max(width, 1e-9)) ** 2)
+    return offsets, gauss / gauss.sum()
+
+
+def _mirrored(k: NDArray[np.intp], n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """The samples, of n, that stand at indices k in a mirrored image, and in which copy of it."""
+    copies, at = np.divmod(k, max(n - 1, 1))
+    return np.where(copies % 2, n - 1 - at, at), copies
+
+
+def blur(I: Array, width: float | tuple[float, float]) -> Array:
+    """Gaussian average of an image that goes on as in a mirror.
+
+    Parameters
+    ----------
+    I : ndarray, shape (height, width)
+    width : float or (lateral, axial)
+        Standard deviation, samples.
+    """
+    terms = []
+    for n, std in zip(I.shape, np.broadcast_to(width, 2)[::-1], strict=True):
+        offsets, gauss = _gaussian(std)
+        at, _ = _mirrored(np.arange(n)[:, None] + offsets, n)
+        terms.append((at, np.tile(gauss, (n, 1))))
+    (at2, w2), (at1, w1) = terms
+    J = np.empty(I.shape)
+    interpolation.resample(J, np.ascontiguousarray(I, dtype=np.float64), at1, w1, at2, w2)
+    return J
 
 
 def gradient(I: Array, spacing: tuple[float, float] = (1.0, 1.0)) -> Array:

@@ -5,10 +5,9 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
 from eofm.functional import Grid, Pointwise, data_term
-from eofm.images import Spline, gradient
+from eofm.images import Spline, blur, gradient
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -77,10 +76,8 @@ class Match:
         if width < SHARP:
             return self
         mask = self.used.astype(np.float64)
-        share = np.maximum(gaussian_filter(mask, width, mode="mirror"), 1e-6)
-        g1, g2, r = (
-            gaussian_filter(f * mask, width, mode="mirror") / share for f in (*self.g, self.r)
-        )
+        share = np.maximum(blur(mask, width), 1e-6)
+        g1, g2, r = (blur(f * mask, width) / share for f in (*self.g, self.r))
         return replace(self, g=np.stack([g1, g2]), r=r)
 
     @cached_property

@@ -10,6 +10,7 @@ from scipy.interpolate import CubicSpline
 from eofm.errors import InputError
 from eofm.images import (
     Spline,
+    blur,
     evaluate,
     gaussians,
     gradient,
@@ -176,6 +177,13 @@ def test_resize_is_blur_and_spline(shape, rng):
         c, np.meshgrid(*x, indexing="ij"), mode="mirror", prefilter=False
     )
     np.testing.assert_allclose(resize(I, shape), expected, atol=1e-12)
+
+
+@given(st.integers(1, 40), st.integers(1, 40), st.floats(0, 30), st.floats(0, 3))
+def test_blur_is_that_of_scipy(height, width, lateral, axial):
+    I = np.random.default_rng(0).normal(size=(height, width))
+    expected = ndimage.gaussian_filter(I, (axial, lateral), mode="mirror")
+    np.testing.assert_allclose(blur(I, (lateral, axial)), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
