@@ -3,12 +3,14 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.sparse.linalg import LinearOperator, cg
+from threadpoolctl import threadpool_limits
 
 from eofm.config import Identification
 from eofm.functional import Pointwise
@@ -22,6 +24,15 @@ LARGEST = np.log(30)
 # where all motions are prescribed.
 ANCHOR = 1e-6
 STEP = 3.0
+# Gain below which fits that are only compared stop, in least gains: they rank weights long
+# before they have converged.
+COMPARED = 10.0
+
+F = TypeVar("F", bound=Callable[..., object])
+
+# Decorates what calls BLAS for many small matrices: there threads of its own wait for each
+# other most of the time, and results depend on their number.
+serial: Callable[[F], F] = threadpool_limits.wrap(limits=1, user_api="blas")
 
 # Called after each Gauss-Newton step with gamma, the number of the step and its gain.
 Report = Callable[[float, int, float], object]
@@ -156,12 +167,13 @@ def choose_gamma(
         The pixels held out in turn.
     """
     low, gamma = settings.gamma_range
+    rough = settings.model_copy(update={"least_gain": COMPARED * settings.least_gain})
     parts = [problem(~out) for out in folds]
     m = [np.zeros(part.model.shape) for part in parts]
 
     def fit(gamma: float) -> Array:
         for k, part in enumerate(parts):
-            m[k] = gauss_newton(part, m[k], gamma, settings, report)
+            m[k] = gauss_newton(part, m[k], gamma, rough, report)
         fields = (part.u(part.state(m_k)) for part, m_k in zip(parts, m, strict=True))
         return np.concatenate([losses(u, out) for u, out in zip(fields, folds, strict=True)])
 

@@ -187,8 +187,8 @@ class State:
 
         ``K du = - sum_e d_e E_e K_e u``.
         """
-        f = np.zeros_like(self.u)
-        np.add.at(f, self.model.dofs, -d.reshape(-1, 1) * self._forces)
+        f, forces = np.zeros_like(self.u), -d.reshape(-1, 1) * self._forces
+        f += np.bincount(self.model.dofs.ravel(), forces.ravel(), f.size)
         return self.model.to_pixels(self._inverse(f))
 
     def adjoint(self, f: Array) -> Array:

@@ -27,7 +27,7 @@ from eofm.errors import InputError
 from eofm.estimate import Estimate, estimate_displacement
 from eofm.functional import EDGES, Pointwise
 from eofm.images import unit_spacing
-from eofm.inversion import LARGEST, Problem, Report, choose_gamma, gauss_newton
+from eofm.inversion import LARGEST, Problem, Report, choose_gamma, gauss_newton, serial
 from eofm.matching import held_out
 from eofm.sensitivity import Elastic
 
@@ -94,6 +94,7 @@ class Stiffness:
         )
 
 
+@serial
 def identify_stiffness(
     I1: Array,
     I2: Array,

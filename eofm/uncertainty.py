@@ -9,7 +9,7 @@ for each block of pixels.
 import numpy as np
 from numpy.typing import NDArray
 
-from eofm.inversion import slope
+from eofm.inversion import serial, slope
 from eofm.matching import random_signs
 from eofm.stiffness import Stiffness
 
@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 DAMPING = 1e-2
 
 
+@serial
 def deviations(found: Stiffness, *, samples: int = 32, seed: int = 0) -> tuple[Array, Array]:
     """Return the standard deviations of the displacement and of log E.
 
