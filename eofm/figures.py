@@ -200,6 +200,7 @@ def save(figure: Figure, paths: Sequence[Path], settings: Figures = Figures()) -
         metadata = {"CreationDate": None} if path.suffix == ".pdf" else {}
         with replacing(path) as temporary, mpl.rc_context(STYLE):
             figure.savefig(temporary, dpi=settings.dpi, metadata=metadata)
+        figure.set_layout_engine("none")  # the first file's is kept for all
 
 
 def _panels(
