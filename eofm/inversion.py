@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from eofm.config import Identification
 from eofm.functional import Pointwise
-from eofm.sensitivity import Elastic, State, band
+from eofm.sensitivity import Elastic, State
 
 Array = NDArray[np.float64]
 
@@ -64,8 +64,9 @@ class Problem:
 
     def improve(self, m: Array, state: State, gamma: float, damping: float) -> Array:
         """Damped Gauss-Newton step from ``m``."""
-        right = self.back(m, state, self.misfit(state)) - gamma * self.prior(m) @ m.ravel()
-        return self.solve(m, state, gamma, damping, right)
+        prior = gamma * self.prior(m)
+        right = self.back(m, state, self.misfit(state)) - prior @ m.ravel()
+        return self.solver(m, state, prior + damping * sp.eye_array(m.size))(right)
 
     def misfit(self, state: State) -> Array:
         """Half the negative slope of the data term in u, shape (2, height, width)."""
@@ -75,24 +76,22 @@ class Problem:
         """Adjoint of the derivative of u by ``m``, flattened."""
         return (slope(m) * state.adjoint(f)).ravel()
 
-    def solve(self, m: Array, state: State, gamma: float, damping: float, right: Array) -> Array:
-        """Gauss-Newton system, by conjugate gradients with the damped prior's inverse."""
-        damped = gamma * self.prior(m) + damping * sp.eye_array(m.size)
-        factor = cholesky_banded(band(damped), lower=True, check_finite=False), True
+    def solver(self, m: Array, state: State, prior: sp.csr_array) -> Callable[[Array], Array]:
+        """Solve the Gauss-Newton system by conjugate gradients with the prior's inverse."""
+        factor = cholesky_banded(_band(prior), lower=True, check_finite=False), True
+        shape = (m.size, m.size)
 
         def hessian(d: Array) -> Array:
             du = state.derivative(slope(m) * d.reshape(m.shape))
-            return self.back(m, state, self.data.product(du)) + damped @ d
+            return self.back(m, state, self.data.product(du)) + prior @ d
 
-        shape = (m.size, m.size)
-        step, _ = cg(
-            LinearOperator(shape, hessian),
-            right,
-            M=LinearOperator(shape, lambda r: cho_solve_banded(factor, r, check_finite=False)),
-            rtol=1e-2,
-            maxiter=60,
-        )
-        return step.reshape(m.shape)
+        A = LinearOperator(shape, hessian)
+        M = LinearOperator(shape, lambda r: cho_solve_banded(factor, r, check_finite=False))
+
+        def solve(right: Array) -> Array:
+            return cg(A, right, M=M, rtol=1e-2, maxiter=60)[0].reshape(m.shape)
+
+        return solve
 
     def prior(self, m: Array) -> sp.csr_array:
         """Matrix of ``int |grad d|^2 / sqrt(|grad m|^2 + epsilon^2)`` for d on the elements."""
@@ -190,3 +189,12 @@ def choose_gamma(
 def slope(m: Array) -> Array:
     """Return the derivative of log E by ``m``: 1 where E is moderate, 0 where it is extreme."""
     return 1 - np.tanh(m / LARGEST) ** 2
+
+
+def _band(A: sp.csr_array) -> Array:
+    """Lower band of a symmetric matrix, as LAPACK stores it."""
+    lower = sp.tril(A, format="coo")
+    row, column = lower.coords
+    band = np.zeros(((row - column).max() + 1, A.shape[0]))
+    band[row - column, column] = lower.data
+    return band

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.linalg import cho_solve_banded, cholesky_banded
@@ -119,18 +118,37 @@ class Elastic:
     def solve(self, log_E: Array) -> "State":
         """Displacement for moduli ``exp(log_E)``, shape of `shape`."""
         E = np.exp(log_E).ravel()
-        n = 2 * self._node_order.size
-        pairs = np.broadcast_arrays(self.dofs[:, :, None], self.dofs[:, None, :])
-        index = tuple(i.ravel() for i in pairs)
-        K = sp.csr_array(((E[:, None, None] * self.element_matrix).ravel(), index), shape=(n, n))
-        fixed, u = self.prescribed
-        rows = K[np.flatnonzero(~fixed)]
-        factor = cholesky_banded(
-            band(rows[:, np.flatnonzero(~fixed)]), lower=True, check_finite=False
-        )
-        u = u.copy()
-        u[~fixed] = cho_solve_banded((factor, True), -(rows @ u), check_finite=False)
+        fixed, values = self.prescribed
+        entry, place, shape = self._places
+        entries = np.multiply.outer(E, self.element_matrix).ravel()[entry]
+        band = np.bincount(place, entries, shape[0] * shape[1]).reshape(shape)
+        band[0] += RIDGE * band[0].mean()
+        factor = cholesky_banded(band, lower=True, check_finite=False)
+        u = values.copy()
+        forces = self.assemble(E[:, None] * (u[self.dofs] @ self.element_matrix))
+        u[~fixed] = cho_solve_banded((factor, True), -forces[~fixed], check_finite=False)
         return State(self, E, factor, u)
+
+    def assemble(self, forces: Array) -> Array:
+        """Sum at the nodes of forces on elements, shape (elements, 8)."""
+        total = np.zeros(2 * self._node_order.size)
+        total += np.bincount(self.dofs.ravel(), forces.ravel(), total.size)
+        return total
+
+    @cached_property
+    def _places(self) -> tuple[NDArray[np.intp], NDArray[np.intp], tuple[int, int]]:
+        """Which entries of all element matrices go into the band matrix, where, and its shape.
+
+        That is the lower band, as LAPACK stores it, of the degrees of freedom that are not
+        prescribed.
+        """
+        free = ~self.prescribed[0]
+        n = int(free.sum())
+        number = np.where(free, np.cumsum(free) - 1, -1)[self.dofs]
+        row, column = np.broadcast_arrays(number[:, :, None], number[:, None, :])
+        entry = np.flatnonzero((row >= column) & (column >= 0))
+        row, column = row.ravel()[entry], column.ravel()[entry]
+        return entry, (row - column) * n + column, (int(np.max(row - column)) + 1, n)
 
     def to_pixels(self, u: Array) -> Array:
         """Cubic splines through nodal values at the pixels, shape (2, height, width)."""
@@ -187,8 +205,7 @@ class State:
 
         ``K du = - sum_e d_e E_e K_e u``.
         """
-        f, forces = np.zeros_like(self.u), -d.reshape(-1, 1) * self._forces
-        f += np.bincount(self.model.dofs.ravel(), forces.ravel(), f.size)
+        f = self.model.assemble(-d.reshape(-1, 1) * self._forces)
         return self.model.to_pixels(self._inverse(f))
 
     def adjoint(self, f: Array) -> Array:
@@ -206,15 +223,3 @@ class State:
         w = np.zeros_like(f)
         w[free] = cho_solve_banded((self.factor, True), f[free], check_finite=False)
         return w
-
-
-def band(A: sp.sparray) -> Array:
-    """Lower band of a symmetric matrix, as LAPACK stores it."""
-    A = sp.coo_array(sp.csr_array(A))
-    row, column = A.coords
-    lower = row >= column
-    row, column = row[lower], column[lower]
-    band = np.zeros(((row - column).max() + 1, A.shape[0]))
-    band[row - column, column] = A.data[lower]
-    band[0] += RIDGE * band[0].mean()
-    return band

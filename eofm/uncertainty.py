@@ -7,6 +7,7 @@ for each block of pixels.
 """
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from eofm.inversion import serial, slope
@@ -42,12 +43,14 @@ def deviations(found: Stiffness, *, samples: int = 32, seed: int = 0) -> tuple[A
     D1, D2 = problem.gradients
     size = np.sqrt((D1 @ m.ravel()) ** 2 + (D2 @ m.ravel()) ** 2 + problem.epsilon**2)
     root = np.sqrt(found.gamma * problem.area / size)
+    prior = found.gamma * problem.prior(m) + DAMPING * sp.eye_array(m.size)
+    solve = problem.solver(m, state, prior)
     squares_u, squares_E = np.zeros_like(misfit), np.zeros(misfit.shape[1:])
     for _ in range(samples):
         right = problem.back(m, state, random_signs(misfit.shape[1:], rng) * misfit)
         z1, z2 = rng.standard_normal((2, m.size))
         right += D1.T @ (root * z1) + D2.T @ (root * z2)
-        d = slope(m) * problem.solve(m, state, found.gamma, DAMPING, right)
+        d = slope(m) * solve(right)
         squares_u = squares_u + state.derivative(d) ** 2
         squares_E = squares_E + problem.model.elements_to_pixels(d - np.median(d)) ** 2
     squares_u /= np.reshape(problem.model.spacing, (2, 1, 1)) ** 2
