@@ -27,7 +27,9 @@ from eofm.io import read_settings
 RESERVED = ("background", "5b", "6")
 
 Edge = Literal["top", "bottom", "left", "right"]
-Tool = Literal["eofm", "eofm_preset", "tvl1", "ilk", "dis", "deepflow", "elastix", "demons"]
+Tool = Literal[
+    "eofm", "eofm_preset", "tvl1", "ilk", "dis", "deepflow", "elastix", "demons", "pyxel"
+]
 Positive = Annotated[float, Field(gt=0)]
 
 
@@ -421,6 +423,7 @@ class Benchmark(Section):
             "deepflow": 2048,
             "elastix": 1024,
             "demons": 1024,
+            "pyxel": 2048,
         },
         description="the tools, and the largest size for which each is run, px",
     )

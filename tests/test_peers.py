@@ -47,8 +47,8 @@ def test_a_known_smooth_field_is_found(peers, moved, tool):
 
 
 def test_a_missing_library_is_reported_and_no_error(peers, moved, monkeypatch, capsys):
-    for library in ("cv2", "itk", "SimpleITK"):
+    for library in ("cv2", "itk", "SimpleITK", "pyxel"):
         monkeypatch.setitem(__import__("sys").modules, library, None)
-    for tool in ("dis", "deepflow", "elastix", "demons"):
+    for tool in ("dis", "deepflow", "elastix", "demons", "pyxel"):
         assert peers["estimate"](tool, *moved[:2]) is None
         assert f"{tool}: not installed" in capsys.readouterr().out

@@ -19,6 +19,7 @@ LOOKS = {
     "deepflow": ("DeepFlow", "#999999", "P"),
     "elastix": ("elastix", "#56B4E9", "D"),
     "demons": ("demons", "#E69F00", "X"),
+    "pyxel": ("pyxel", "#000000", "p"),
 }
 
 

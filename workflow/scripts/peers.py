@@ -10,8 +10,8 @@ phantom, and dense speckle with 5 % noise that moves as that phantom does. Every
 on one thread: their times compare, and their results do not depend on the machine's cores.
 Libraries are imported where they are used, for most are optional: ``pip install '.[peers]'``.
 
-pyxel-dic is missing: it requires opencv-python, whose files overwrite those of the OpenCV
-with DeepFlow.
+pyxel-dic requires opencv-python, whose files are also those of the OpenCV with DeepFlow. pip
+installs that one first and overwrites it; after another order DeepFlow is not found.
 """
 
 from collections.abc import Callable
@@ -20,6 +20,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.interpolate import interpn
 
 from eofm.images import resize, resize_field
 
@@ -131,8 +132,36 @@ def demons(I1: Array, I2: Array) -> Array:
     return u
 
 
+def pyxel(I1: Array, I2: Array) -> Array:
+    """Finite element image correlation of pyxel-dic: squares of 12 px, on 4 scales.
+
+    Its regularisation has a length of 32 px; without one it finds nothing in such images. Squares
+    of 8 px with 64 px, and of 16 px with 64 px, are as good, larger ones and shorter lengths not.
+    """
+    import pyxel as px
+
+    reference, deformed = (px.Image(name) for name in ("reference", "deformed"))
+    reference.pix, deformed.pix = 255 * I1, 255 * I2
+    height, width = I1.shape
+    mesh, camera = px.MeshFromROI(np.array([[0, 0], [width - 1, height - 1]]), [12, 12])
+    mesh.Connectivity()
+    images = reference, deformed, mesh, camera
+    start = px.MultiscaleInit(*images, l0=32.0, disp=False)
+    values, _ = px.Correlate(*images, l0=16.0, U0=start, disp=False)
+    nodes = np.stack(camera.P(*mesh.n.T))
+    moved = np.stack(camera.P(*(mesh.n + values[mesh.conn]).T))
+    x1, x2 = (np.unique(x.round(6)) for x in nodes)
+    order = np.lexsort(nodes.round(6))
+    return np.stack(
+        [
+            interpn((x2, x1), c[order].reshape(len(x2), len(x1)), np.mgrid[:height, :width].T).T
+            for c in moved - nodes
+        ]
+    )
+
+
 TOOLS: dict[str, Callable[..., Array]] = {
-    tool.__name__: tool for tool in (tvl1, ilk, dis, deepflow, elastix, demons)
+    tool.__name__: tool for tool in (tvl1, ilk, dis, deepflow, elastix, demons, pyxel)
 }
 
 
@@ -140,7 +169,7 @@ def estimate(tool: str, I1: Array, I2: Array, **setting: float) -> Array | None:
     """Displacement by the tool of a name; None where its library is not installed."""
     try:
         return TOOLS[tool](I1, I2, **setting)
-    except ImportError as error:
+    except (ImportError, OSError) as error:  # or what a library needs of the system
         print(f"{tool}: not installed ({error})")
         return None
 
