@@ -244,7 +244,7 @@ class Estimation(Section):
     smoothness: Literal["gradient", "bending"] = Field(
         "bending", description="R: squared first (the paper's) or second derivatives"
     )
-    alpha: Positive | None = Field(
+    alpha: Annotated[float, Field(ge=1e-6, le=1e9)] | None = Field(
         None, description="weight of R; none: chosen on held-out pixels (with bending)"
     )
     beta: float = Field(0.5, ge=0, description="weight of the speckle term S")

@@ -3,7 +3,8 @@
 import argparse
 import json
 from difflib import get_close_matches
-from typing import Any, TypeVar
+from types import NoneType
+from typing import Any, TypeVar, get_args
 
 from eofm.config import PAPER, Estimation, Section
 from eofm.errors import InputError
@@ -20,7 +21,7 @@ def add_options(group: argparse._ArgumentGroup, section: type[Section]) -> None:
             f"--{name.replace('_', '-')}",
             metavar="VALUE",
             nargs="*" if section.takes_many(name) else None,
-            type=parse_optional if "None" in str(field.annotation) else parse_value,
+            type=parse_optional if NoneType in get_args(field.annotation) else parse_value,
             default=argparse.SUPPRESS,
             help=f"{field.description} (default: {'none' if shown in ('', None) else shown}"
             + (f"; paper: {PAPER[name]}" if section is Estimation and name in PAPER else "")
@@ -43,8 +44,7 @@ def parse_optional(text: str) -> Any:
 
 def settings_of(section: type[S], args: argparse.Namespace) -> S:
     """Checked settings of a section from the options given."""
-    given = {name: value for name, value in vars(args).items() if name in section.model_fields}
-    return section.parse(given, section.__name__.lower())
+    return section.parse(_given(args, set(section.model_fields)), section.__name__.lower())
 
 
 def sections_of(
@@ -52,7 +52,7 @@ def sections_of(
 ) -> list[Any]:
     """Settings whose names do not clash, from a file and from options; options win."""
     known = {name for section in sections for name in section.model_fields}
-    given = given | {name: value for name, value in vars(args).items() if name in known}
+    given = given | _given(args, known)
     for name in given.keys() - known:
         close = get_close_matches(name, sorted(known), 1)
         hint = f"; did you mean {close[0]}?" if close else ""
@@ -63,3 +63,9 @@ def sections_of(
         )
         for section in sections
     ]
+
+
+def _given(args: argparse.Namespace, names: set[str]) -> dict[str, Any]:
+    """The options of some names; ``none`` alone stands for no value where there may be many."""
+    options = {name: value for name, value in vars(args).items() if name in names}
+    return {name: None if value == [None] else value for name, value in options.items()}

@@ -116,7 +116,7 @@ def test_too_small_for_the_scales(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "part"),
     [
-        (["estimate", "--alpha", "-1"], "alpha: input should be greater than 0"),
+        (["estimate", "--alpha", "-1"], "alpha: input should be greater than or equal to 0.000001"),
         (["estimate", "--alpha", "x"], "alpha: input should be a valid number"),
         (["estimate", "--zero-edges", "up"], "zero_edges.0: input should be 'top'"),
         (["estimate", "--limits", "1"], "limits"),
@@ -182,7 +182,7 @@ def test_error_bars_and_stiffness_as_their_help_says(folder, tmp_path, capsys):
 def test_none_is_said_as_help_says_it(folder, tmp_path):
     words = ["estimate", str(folder / "a.tif"), str(folder / "b.tif"), "--method", "paper"]
     words += ["--output", str(tmp_path / "u.tif"), "--smoothness", "bending", "--scales", "none"]
-    assert main([*words, "--alpha", "none"]) == 0
+    assert main([*words, "--alpha", "none", "--limits", "none"]) == 0
 
 
 def test_no_bubble_found(folder, tmp_path, capsys):

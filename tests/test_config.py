@@ -56,7 +56,7 @@ def test_the_paper_s_parameters(folder):
         ({"sample": {"qqq": 1}}, "unknown key sample.qqq"),
         (
             {"estimation": {"alpha": 0}},
-            r"estimation.alpha: input should be greater than 0 \(got 0\)",
+            r"estimation.alpha: input should be greater than or equal to 0.000001 \(got 0\)",
         ),
         ({"estimation": {"alpha": "much"}}, "estimation.alpha: .*number.*'much'"),
         ({"estimation": {"alpha": float("nan")}}, "estimation.alpha: .*finite"),
@@ -66,7 +66,10 @@ def test_the_paper_s_parameters(folder):
         ({"sample": {"height": 40, "compression": 30}}, "compression: 30 px is half of"),
         ({"sample": {"inclusions": [{"x1": 1}]}}, "sample.inclusions.0.x2: field required"),
         ({"phantom": {"sigma": [2, 1]}}, "sigma: wants 0 < low <= high"),
-        ({"tests": {"9": {"changes": {"alpha": -1}}}}, "tests.9.changes: alpha: .*greater than 0"),
+        (
+            {"tests": {"9": {"changes": {"alpha": -1}}}},
+            "tests.9.changes: alpha: .*greater than or equal to",
+        ),
         ({"tests": {"6": {}}}, "'6' cannot be a test's name"),
         ({"estimation": {"method": "paper", "alpha": None}}, "alpha: wants a value with"),
         ({"preset": {"method": "papers"}}, "preset.method: .*'preset' or 'paper'"),
