@@ -16,9 +16,9 @@ from scipy.spatial import KDTree
 from skimage.morphology import local_maxima
 from skimage.segmentation import watershed
 
-from eofm.config import Tracking
 from eofm.errors import InputError
 from eofm.images import Spline, blur, evaluate_field, gradient, inside, normalise
+from eofm.settings import Tracking
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from eofm import io
-from eofm.config import (
+from eofm.errors import InputError
+from eofm.options import add_options, sections_of, settings_of
+from eofm.settings import (
     Estimation,
     Forward,
     Identification,
@@ -21,8 +23,6 @@ from eofm.config import (
     Tracking,
     VirtualOct,
 )
-from eofm.errors import InputError
-from eofm.options import add_options, sections_of, settings_of
 
 DESCRIPTION = """\
 Displacement of soft samples between an image before and one after compression.

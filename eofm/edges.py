@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from eofm.config import Edge
 from eofm.errors import InputError
 from eofm.io import read_columns
+from eofm.settings import Edge
 
 Array = NDArray[np.float64]
 

@@ -24,8 +24,8 @@ from skfem import (
 )
 from skfem.helpers import ddot, div, sym_grad
 
-from eofm.config import Edge, Forward, Sample
 from eofm.images import unit_spacing
+from eofm.settings import Edge, Forward, Sample
 
 Array = NDArray[np.float64]
 Spacing = tuple[float, float]

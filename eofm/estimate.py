@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from eofm.config import Edge, Estimation
 from eofm.crossvalidation import choose_alpha, enough, first_alpha
 from eofm.errors import InputError
 from eofm.functional import (
@@ -31,6 +30,7 @@ from eofm.images import (
 from eofm.matching import ImagePair, Match, random_signs
 from eofm.multigrid import multigrid
 from eofm.multiscale import coarse_to_fine, pyramid, solving
+from eofm.settings import Edge, Estimation
 
 if TYPE_CHECKING:
     import pandas as pd

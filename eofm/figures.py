@@ -17,8 +17,8 @@ from matplotlib.image import AxesImage
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from eofm.config import Figures
 from eofm.io import replacing
+from eofm.settings import Figures
 
 Array = NDArray[np.float64]
 

@@ -19,8 +19,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from eofm.config import Edge
 from eofm.images import gaussians
+from eofm.settings import Edge
 
 Array = NDArray[np.float64]
 Roots = list[tuple[sp.csr_array, sp.csr_array]]

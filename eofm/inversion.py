@@ -12,9 +12,9 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.sparse.linalg import LinearOperator, cg
 from threadpoolctl import threadpool_limits
 
-from eofm.config import Identification
 from eofm.functional import Pointwise
 from eofm.sensitivity import Elastic, State
+from eofm.settings import Identification
 
 Array = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ from difflib import get_close_matches
 from types import NoneType
 from typing import Any, TypeVar, get_args
 
-from eofm.config import PAPER, Estimation, Section
 from eofm.errors import InputError
+from eofm.settings import PAPER, Estimation, Section
 
 S = TypeVar("S", bound=Section)
 

@@ -8,13 +8,13 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from eofm.bubbles import track
-from eofm.config import Estimation, Identification, Pair, Tracking
 from eofm.errors import InputError
 from eofm.estimate import Estimate, estimate_displacement, normalised
 from eofm.functional import EDGES
 from eofm.images import inside, unit_spacing, warp_field
 from eofm.quality import data_share, inconsistency, residual
 from eofm.scene import Scene, prepare
+from eofm.settings import Estimation, Identification, Pair, Tracking
 from eofm.stiffness import Stiffness, identify_stiffness
 from eofm.strain import FILTER, strain
 from eofm.uncertainty import deviations

@@ -12,9 +12,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from eofm.config import Phantom
 from eofm.errors import InputError
 from eofm.images import evaluate_field, gaussians
+from eofm.settings import Phantom
 
 Array = NDArray[np.float64]
 

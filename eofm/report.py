@@ -7,8 +7,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from eofm import figures, io
-from eofm.config import Figures, Pair
 from eofm.pairs import Analysis
+from eofm.settings import Figures, Pair
 
 STRAIN_LABELS = ["e11 lateral", "e22 axial", "e12 shear"]
 

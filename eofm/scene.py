@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from skimage.draw import polygon2mask
 
 from eofm import io
-from eofm.config import Edge, Pair, Sample
 from eofm.edges import EdgeState, parse_edge
 from eofm.elasticity import deform
 from eofm.errors import InputError
+from eofm.settings import Edge, Pair, Sample
 
 Array = NDArray[np.float64]
 

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from eofm.config import Edge, Sample
 from eofm.elasticity import lame
 from eofm.functional import EDGES
+from eofm.settings import Edge, Sample
 
 Array = NDArray[np.float64]
 

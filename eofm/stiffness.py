@@ -21,7 +21,6 @@ import pandas as pd
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from eofm.config import Edge, Estimation, Identification, Sample
 from eofm.elasticity import deform
 from eofm.errors import InputError
 from eofm.estimate import Estimate, estimate_displacement
@@ -30,6 +29,7 @@ from eofm.images import unit_spacing
 from eofm.inversion import LARGEST, Problem, Report, choose_gamma, gauss_newton, serial
 from eofm.matching import held_out
 from eofm.sensitivity import Elastic
+from eofm.settings import Edge, Estimation, Identification, Sample
 
 Array = NDArray[np.float64]
 

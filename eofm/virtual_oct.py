@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from eofm.config import VirtualOct
 from eofm.errors import InputError
 from eofm.images import evaluate_field, gaussians
+from eofm.settings import VirtualOct
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

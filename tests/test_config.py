@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eofm.config import Config, Estimation, Phantom, Sample, load
+from eofm.config import Config, load
 from eofm.errors import InputError
+from eofm.settings import Estimation, Phantom, Sample
 
 
 @pytest.fixture(scope="module")

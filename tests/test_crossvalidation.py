@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from eofm.config import Estimation, Phantom
 from eofm.crossvalidation import choose_alpha
 from eofm.estimate import estimate_displacement
 from eofm.functional import Grid
 from eofm.matching import ImagePair, held_out
 from eofm.phantom import make_phantom
+from eofm.settings import Estimation, Phantom
 
 SHAPE = (40, 56)
 

@@ -4,7 +4,6 @@ from skfem import Basis, ElementQuad2, ElementVector, LinearForm, MeshQuad, cond
 from skfem.helpers import dot
 
 from eofm import elasticity
-from eofm.config import Forward, Inclusion, Sample
 from eofm.elasticity import (
     background_field,
     deform,
@@ -16,6 +15,7 @@ from eofm.elasticity import (
     stiffness_matrix,
 )
 from eofm.images import unit_spacing
+from eofm.settings import Forward, Inclusion, Sample
 
 
 def manufactured(n, nu):

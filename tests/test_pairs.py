@@ -11,11 +11,11 @@ import tifffile
 from scipy.io import savemat
 
 import eofm
-from eofm.config import Estimation, Pair, Tracking
 from eofm.images import evaluate_field, resize
 from eofm.pairs import analyse
 from eofm.report import write_results
 from eofm.scene import prepare
+from eofm.settings import Estimation, Pair, Tracking
 
 QUICK = Estimation(method="paper", scales=3, limits=(0, 1))
 

@@ -5,7 +5,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from eofm.config import Forward, Inclusion, Phantom, Sample
 from eofm.elasticity import displacement, true_field
 from eofm.errors import InputError
 from eofm.estimate import estimate_displacement
@@ -14,6 +13,7 @@ from eofm.inversion import Problem
 from eofm.metrics import relative_errors
 from eofm.phantom import make_phantom
 from eofm.sensitivity import Elastic
+from eofm.settings import Forward, Inclusion, Phantom, Sample
 from eofm.stiffness import identify_stiffness
 
 PLAIN = Sample(height=48, width=76, compression=2.0)

@@ -3,8 +3,8 @@
 import numpy as np
 from test_stiffness import PLAIN, pair
 
-from eofm.config import Identification
 from eofm.estimate import estimate_displacement
+from eofm.settings import Identification
 from eofm.stiffness import identify_stiffness
 from eofm.uncertainty import deviations
 

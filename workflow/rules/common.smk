@@ -13,6 +13,7 @@ from pathlib import Path
 import pandas as pd
 
 import eofm.config
+import eofm.settings
 from eofm.cli import ANALYSIS
 from eofm.errors import InputError
 
@@ -58,7 +59,7 @@ def options(*sections):
     words = []
     for section in sections:
         for name, value in section.model_dump(mode="json").items():
-            if value is None and name in eofm.config.PAPER:
+            if value is None and name in eofm.settings.PAPER:
                 words += [f"--{name.replace('_', '-')}", "none"]
             elif value is not None:
                 words.append(f"--{name.replace('_', '-')}")

@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
 from eofm import io
-from eofm.config import Figures
 from eofm.figures import STYLE, save
+from eofm.settings import Figures
 
 PANELS = {
     "seconds": "time on one thread [s]",

@@ -10,7 +10,8 @@ import types
 from pathlib import Path
 from typing import get_args
 
-from eofm.config import Config, Pair, Section
+from eofm.config import Config
+from eofm.settings import Pair, Section
 
 FOLDER = Path(__file__).parents[2] / "config"
 MARK = "<!-- The tables below are written by workflow/scripts/describe_config.py. -->"

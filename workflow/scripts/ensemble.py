@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from eofm import io
-from eofm.config import Figures
 from eofm.figures import STYLE, save
+from eofm.settings import Figures
 
 METHODS = ["background", "test5", "preset_free", "preset", "test6", *snakemake.params.tools]
 COLUMNS = [*METHODS[:5], "dice", *METHODS[5:], "coverage"]

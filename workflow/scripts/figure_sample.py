@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from eofm import io
-from eofm.config import Figures
 from eofm.figures import image_pair, save
+from eofm.settings import Figures
 
 settings = Figures(**snakemake.params.figures)
 pair = io.read_pair(Path(snakemake.input.reference), Path(snakemake.input.deformed))

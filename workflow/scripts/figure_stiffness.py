@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from eofm import io
-from eofm.config import Figures, Sample
 from eofm.elasticity import lame
 from eofm.figures import moduli, save
+from eofm.settings import Figures, Sample
 
 settings = Figures(**snakemake.params.figures)
 sample = Sample(**snakemake.params.sample)

@@ -8,8 +8,8 @@ from pathlib import Path
 import pandas as pd
 
 from eofm import io
-from eofm.config import Figures
 from eofm.figures import field_and_error, save
+from eofm.settings import Figures
 
 settings = Figures(**snakemake.params.figures)
 table = pd.read_csv(snakemake.input.table)

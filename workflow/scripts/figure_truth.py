@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from eofm import io
-from eofm.config import Figures
 from eofm.figures import field, save
+from eofm.settings import Figures
 
 settings = Figures(**snakemake.params.figures)
 truth = io.read_field(Path(snakemake.input.truth))

@@ -5,9 +5,9 @@ from pathlib import Path
 import pandas as pd
 
 from eofm import io
-from eofm.config import Figures
 from eofm.figures import compare_errors, compare_fields, image_pair, save
 from eofm.metrics import pixel_errors
+from eofm.settings import Figures
 
 settings = Figures(**snakemake.params.figures)
 files = {name: Path(path) for name, path in snakemake.input.items() if isinstance(path, str)}

@@ -1,0 +1,399 @@
+"""Typed settings of the steps.
+
+The defaults are the paper's experiment. Every model is the settings argument of the function
+that uses it, field by field the options of its command, and a section of
+``config/config.yaml``, so that a key has one name, one check and one description everywhere.
+"""
+
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
+
+from eofm.errors import InputError
+
+Edge = Literal["top", "bottom", "left", "right"]
+Positive = Annotated[float, Field(gt=0)]
+
+
+def _ascending(limits: tuple[float, float]) -> tuple[float, float]:
+    if not limits[0] < limits[1]:
+        raise ValueError(f"wants low < high (got {limits[0]:g}, {limits[1]:g})")
+    return limits
+
+
+def _spread(limits: tuple[float, float]) -> tuple[float, float]:
+    if not 0 < limits[0] <= limits[1]:
+        raise ValueError(f"wants 0 < low <= high (got {limits[0]:g}, {limits[1]:g})")
+    return limits
+
+
+Range = tuple[float, float]
+Limits = Annotated[Range, AfterValidator(_ascending)]
+Spread = Annotated[Range, AfterValidator(_spread)]
+FileName = Annotated[
+    str, BeforeValidator(lambda name: str(name) if isinstance(name, Path) else name)
+]
+Region = tuple[int, int, int, int]
+
+EDGE_WORDS = (
+    "free; fixed; moved U1 U2 (px, or um if the word um follows); moved FILE (a table of u1, u2"
+    " in px, a row per pixel); outside (of the image, no condition), which may be followed by"
+    " what holds there for the elastic background"
+)
+
+
+class Section(BaseModel):
+    """A group of settings; unknown keys are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @classmethod
+    def takes_many(cls, name: str) -> bool:
+        """Whether a key holds several values."""
+        return "tuple" in str(cls.model_fields[name].annotation)
+
+    @classmethod
+    def parse(cls, values: dict[str, Any], where: str) -> Self:
+        """Checked settings from plain values.
+
+        Raises
+        ------
+        InputError
+            In one line: the first value that is wrong, by name, and why.
+        """
+        try:
+            return cls.model_validate(values)
+        except ValidationError as error:
+            raise InputError(f"{where}: {_explain(error)}") from None
+
+
+def _explain(error: ValidationError) -> str:
+    first = error.errors(include_url=False)[0]
+    name = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "extra_forbidden":
+        known = {key for section in Section.__subclasses__() for key in section.model_fields}
+        close = get_close_matches(str(first["loc"][-1]), sorted(known), 1)
+        return f"unknown key {name}; " + (f"did you mean {close[0]}?" if close else "misspelt?")
+    message = first["msg"].removeprefix("Value error, ")
+    if first["type"] == "value_error":
+        return f"{name}: {message}" if isinstance(first["input"], tuple | list) else message
+    got = "" if first["type"] == "missing" else f" (got {first['input']!r})"
+    return f"{name}: {message[0].lower()}{message[1:]}{got}"
+
+
+class Inclusion(Section):
+    """A circular inclusion."""
+
+    x1: float = Field(description="lateral position of the centre, px")
+    x2: float = Field(description="axial position of the centre (down), px")
+    radius: Positive = Field(description="radius, px")
+    stiffness: Positive = Field(description="Young's modulus relative to the background")
+
+
+class Sample(Section):
+    """The sample and how it is pressed."""
+
+    height: int = Field(
+        107, ge=8, description="rows of the image, which shows the whole sample, px"
+    )
+    width: int = Field(180, ge=8, description="columns of the image, px")
+    poisson_ratio: float = Field(0.492, gt=0, lt=0.5, description="Poisson ratio of all materials")
+    plane: Literal["strain", "stress"] = Field("strain", description="plane strain or plane stress")
+    inclusions: tuple[Inclusion, ...] = Field((), description="what differs from the background")
+    compression: float = Field(3.53, description="upward motion of the bottom, px")
+    contact: Literal["clamped", "slip"] = Field(
+        "clamped", description="whether top and bottom are held sideways or slide"
+    )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.height, self.width
+
+    @model_validator(mode="after")
+    def _compression_fits(self) -> Self:
+        if abs(self.compression) >= self.height / 2:
+            raise ValueError(
+                f"compression: {self.compression:g} px is half of the sample's height"
+                f" ({self.height} px) or more; linear elasticity does not hold there"
+            )
+        return self
+
+
+class Forward(Section):
+    """Accuracy of the forward model."""
+
+    true_cell: Positive = Field(1.0, description="side of the elements for the true field, px")
+    background_error: Positive = Field(
+        1e-3, description="largest estimated error of the background field, px"
+    )
+
+
+class Phantom(Section):
+    """The scattering images of the simulated sample."""
+
+    count: int = Field(200, ge=1, description="number of bubbles")
+    sigma: Spread = Field((1.23, 1.23), description="range of their standard deviations, px")
+    brightness: Spread = Field((0.15, 0.22), description="range of their peak intensities")
+    distance: float = Field(0.0, ge=0, description="least distance of two bubbles, px")
+    base: float = Field(0.0, ge=0, le=1, description="intensity between the bubbles")
+    noise: float = Field(
+        0.0, ge=0, description="standard deviation of the noise, relative to the brightest bubble"
+    )
+    seed: int = Field(1, ge=0, description="seed of positions, sizes, brightness and noise")
+
+
+class VirtualOct(Section):
+    """The virtual OCT experiment: scatterers of the enlarged sample, a microscope, a region."""
+
+    scale: float = Field(
+        2.0, ge=1, le=10, description="enlargement of the sample, its compression included"
+    )
+    margin: Range = Field(
+        (0.05, 0.05), description="part cut away on either side, laterally and axially"
+    )
+    pixel_size: Positive = Field(5.0, description="side of a pixel, um")
+    wavelength: Positive = Field(1.3, description="centre wavelength in vacuum, um")
+    refractive_index: float = Field(1.4, ge=1, description="refractive index of the sample")
+    lateral_resolution: Positive = Field(
+        10.0, description="full width at half maximum of a point's intensity, um"
+    )
+    axial_resolution: Positive = Field(7.0, description="the same in depth, inside the sample, um")
+    density: Positive = Field(
+        10.0, description="weak scatterers of the matrix in the area pi w1 w2 of an echo"
+    )
+    reflectors: int = Field(1500, ge=0, description="number of strong reflectors in the sample")
+    reflector_level: Range = Field(
+        (20.0, 30.0), description="range of their intensities, dB above the matrix's mean"
+    )
+    attenuation: float = Field(1.0, ge=0, description="attenuation coefficient, 1/mm")
+    noise: float = Field(
+        0.3, ge=0, description="intensity of the shot noise, relative to the matrix's mean"
+    )
+    display: Limits = Field(
+        (0.0, 30.0), description="intensities that become 0 and 1, dB above the matrix's mean"
+    )
+    seed: int = Field(1, ge=0, description="seed of the scatterers and the noise")
+
+    @model_validator(mode="after")
+    def _ranges(self) -> Self:
+        if not all(0 <= m < 0.5 for m in self.margin):
+            raise ValueError(
+                f"margin: wants two values of at least 0 and below 0.5 (got {self.margin[0]:g},"
+                f" {self.margin[1]:g})"
+            )
+        if not self.reflector_level[0] <= self.reflector_level[1]:
+            low, high = self.reflector_level
+            raise ValueError(f"reflector_level: wants low <= high (got {low:g}, {high:g})")
+        return self
+
+
+class Tracking(Section):
+    """Detection and matching of bubbles."""
+
+    smoothing: float = Field(0.7, ge=0, description="Gaussian applied before detection, px")
+    threshold: float = Field(
+        0.1, gt=0, lt=1, description="least brightness, as a part of the image's range"
+    )
+    min_area: int = Field(4, ge=1, description="least area above the threshold, px^2")
+    max_area: int = Field(400, ge=1, description="largest area above the threshold, px^2")
+    gate: Positive = Field(2.5, description="largest distance from the predicted position, px")
+    window: Positive = Field(2.0, description="Gaussian window of the sub-pixel registration, px")
+    quality: float = Field(0.8, ge=-1, lt=1, description="least correlation of the two windows")
+    neighbours: int = Field(8, ge=2, description="bubbles that a motion has to agree with")
+    tolerance: Positive = Field(3.0, description="largest deviation from their median motion")
+
+
+# The defaults of the method named "paper" where they differ from the preset's.
+PAPER = {
+    "smoothness": "gradient",
+    "alpha": 0.8,
+    "speckle_scales": "all",
+    "gradients": "reference",
+    "scales": 4,
+    "warps": 1,
+    "denoising": 0.0,
+}
+
+
+class Estimation(Section):
+    """The functional F, eq. (def_F), and the coarse-to-fine scheme."""
+
+    method: Literal["preset", "paper"] = Field(
+        "preset",
+        description="whose defaults the other keys have: the accurate preset's, or the paper's",
+    )
+    smoothness: Literal["gradient", "bending"] = Field(
+        "bending", description="R: squared first (the paper's) or second derivatives"
+    )
+    alpha: Annotated[float, Field(ge=1e-6, le=1e9)] | None = Field(
+        None, description="weight of R; none: chosen on held-out pixels (with bending)"
+    )
+    beta: float = Field(0.5, ge=0, description="weight of the speckle term S")
+    sigma: Positive = Field(5.0, description="width of the Gaussians g_sigma, px")
+    speckle_scales: Literal["all", "coarse"] = Field(
+        "coarse", description="scales with a speckle term: all, or all but the finest"
+    )
+    gradients: Literal["reference", "mean"] = Field(
+        "mean", description="grad I: that of I1 (the paper's), or the mean with the warped I2's"
+    )
+    scales: int | None = Field(
+        None,
+        ge=1,
+        description="scales; 1 is the paper's 'no multi-scale'; none: as many as leave 12 px",
+    )
+    factor: float = Field(0.5, gt=0, lt=1, description="ratio of the sizes of two scales")
+    warps: int = Field(2, ge=1, description="linear solves per scale, each after a warp")
+    start: Literal["zero", "background"] = Field(
+        "background", description="field about which the images are linearised first"
+    )
+    zero_edges: tuple[Edge, ...] = Field(
+        (), description="edges with v = 0: top and bottom are Gamma_1 and Gamma_2"
+    )
+    edge_weight: Positive | None = Field(
+        None, description="weight of the penalty B on edges of known motion; none: exact there"
+    )
+    edge_bubbles: float = Field(
+        1.0,
+        ge=1,
+        description="factor of beta for bubbles within 2 sigma of an edge of unknown motion",
+    )
+    limits: Limits | None = Field(
+        None, description="intensities that become 0 and 1; none: extremes of both images"
+    )
+    local_window: Annotated[float, Field(ge=1)] | None = Field(
+        None, description="window of the local normalisation of brightness and contrast, px"
+    )
+    denoising: float | None = Field(
+        None,
+        ge=0,
+        description="Gaussian applied to the linearised images, px of each scale; none: up to 0.6,"
+        " by the share of white noise in what is left of their difference",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _defaults_of_the_method(cls, values: Any) -> Any:
+        if isinstance(values, dict) and values.get("method") == "paper":
+            return PAPER | values
+        return values
+
+    @model_validator(mode="after")
+    def _can_choose_alpha(self) -> Self:
+        if self.alpha is None and self.smoothness == "gradient":
+            raise ValueError(
+                "alpha: wants a value with the smoothness 'gradient'; only that of 'bending' is"
+                " found well on held-out pixels"
+            )
+        return self
+
+
+class Identification(Section):
+    """Settings of the identification."""
+
+    cell: Positive | None = Field(
+        None,
+        description="side of the elements that carry E, px; none: 2.5, or more in large images",
+    )
+    gamma: Positive | None = Field(
+        None, description="weight of the total variation; none: chosen on held-out blocks"
+    )
+    gamma_range: Spread = Field((0.01, 30.0), description="weights tried, downwards")
+    clear: float = Field(2.0, ge=0, description="standard errors that make a gain clear")
+    epsilon: Positive = Field(0.02, description="gradient of log E that counts as an edge, 1/px")
+    iterations: int = Field(30, ge=1, description="largest number of Gauss-Newton steps")
+    least_gain: Positive = Field(5.0, description="gain in log-likelihood at which they stop")
+    damping: Positive = Field(1.0, description="Levenberg's damping at the start")
+    trust: float = Field(
+        0.03,
+        ge=0,
+        description="relative contradiction of the edges' motion above which the images' is taken",
+    )
+    doubt: Positive = Field(
+        0.2, description="the same, of an edge, above which the identification is refused"
+    )
+    rounds: int = Field(2, ge=1, description="largest number of rounds of test 6")
+    settled: Positive = Field(2e-3, description="relative change of u at which test 6 stops")
+
+
+class Pair(Section):
+    """A pair of images, or a sequence, and what is known of the sample."""
+
+    reference: FileName | None = Field(
+        None,
+        description="image before compression: TIFF, PNG, NumPy or MATLAB;"
+        " FILE#3 is page 3 of a stack, FILE#name a variable",
+    )
+    deformed: FileName | None = Field(None, description="image after compression")
+    frames: FileName | None = Field(
+        None, description="instead of both: a stack of frames; edges move by this much in each step"
+    )
+    intensity: Literal["linear", "log"] = Field(
+        "linear", description="use the values as they are, or their logarithm"
+    )
+    roi: Region | None = Field(
+        None, description="region of interest: x1, x2, width and height, px; none: all"
+    )
+    mask: FileName | None = Field(
+        None,
+        description="dead zones without data: an image that is not 0 there, or the corners"
+        " of a polygon, 'x1,x2 x1,x2 x1,x2', px of the whole image",
+    )
+    lateral_size: Positive = Field(1.0, description="width of a pixel, um")
+    axial_size: Positive = Field(1.0, description="height of a pixel, um")
+    top: str = Field("free", description=EDGE_WORDS)
+    bottom: str = Field("free", description="the same")
+    left: str = Field("free", description="the same")
+    right: str = Field("free", description="the same")
+    background: str = Field(
+        "none", description="none, elastic (of a homogeneous sample), or a field in px (TIFF)"
+    )
+    extent: Region | None = Field(
+        None, description="the whole sample in px of the image, may reach beyond it; none: the roi"
+    )
+    poisson_ratio: float = Field(0.49, gt=0, lt=0.5, description="of the elastic background")
+    plane: Literal["strain", "stress"] = Field("strain", description="of the elastic background")
+    strain_window: Positive | None = Field(
+        None, description="Gaussian window of the strain's local linear fits, um; none: 3 px"
+    )
+    error_bars: int = Field(
+        16, ge=0, description="samples for the standard deviations; 0 leaves them out"
+    )
+    stiffness: bool = Field(
+        False, description="whether to identify the modulus; wants the whole sample in the image"
+    )
+
+    @property
+    def pixel_size(self) -> tuple[float, float]:
+        """Lateral and axial side of a pixel, um."""
+        return self.lateral_size, self.axial_size
+
+    @model_validator(mode="after")
+    def _has_images(self) -> Self:
+        if (self.reference is None) != (self.deformed is None):
+            raise ValueError("reference and deformed: give both, or frames instead")
+        if (self.reference is None) == (self.frames is None):
+            raise ValueError("reference: wants reference and deformed, or frames, not both")
+        if self.roi and min(self.roi[2:]) < 8:
+            raise ValueError(f"roi: is {self.roi[2]} x {self.roi[3]} px; wants at least 8 x 8 px")
+        return self
+
+
+class Figures(Section):
+    """How the figures look."""
+
+    pixel_size: tuple[Positive, Positive] = Field(
+        (5.0, 5.0), description="lateral and axial side of a pixel, um"
+    )
+    levels: int = Field(12, ge=2, le=50, description="number of level lines in a panel")
+    dpi: int = Field(200, ge=50, le=1200, description="resolution of the PNG files, dots per inch")
