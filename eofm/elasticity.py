@@ -47,7 +47,7 @@ def true_field(sample: Sample, forward: Forward = Forward()) -> Array:
 def background_field(sample: Sample, forward: Forward = Forward()) -> Array:
     """The field u_bg of the same experiment without inclusions, eq. (Ansatz), px."""
     return deform(
-        sample, _press(sample), error=forward.background_error, slip=sample.contact == "slip"
+        sample, press(sample), error=forward.background_error, slip=sample.contact == "slip"
     )
 
 
@@ -67,7 +67,7 @@ def displacement(sample: Sample, cell: float) -> Array:
     ndarray, shape (2, height, width)
         ``u`` with ``-div sigma(u) = 0`` at the pixel centres, px.
     """
-    return _solve(sample, _press(sample), make_basis(sample, cell), sample.contact == "slip")
+    return _solve(sample, press(sample), make_basis(sample, cell), sample.contact == "slip")
 
 
 def deform(
@@ -114,6 +114,11 @@ def deform(
             break
         coarse = u
     return u
+
+
+def press(sample: Sample) -> dict[Edge, Array]:
+    """Motion of the edges of the experiment, px: top fixed, bottom moved up."""
+    return {"top": np.zeros((2, 1)), "bottom": np.array([[0.0], [-sample.compression]])}
 
 
 def lame(sample: Sample, x: Array) -> tuple[Array, Array]:
@@ -203,11 +208,6 @@ def _dissect(lines: NDArray[np.int64], some: NDArray[np.int64]) -> list[NDArray[
         *_dissect(lines, some[line > middle]),
         some[line == middle],
     ]
-
-
-def _press(sample: Sample) -> dict[Edge, Array]:
-    """Motion of top and bottom of the experiment, px."""
-    return {"top": np.zeros((2, 1)), "bottom": np.array([[0.0], [-sample.compression]])}
 
 
 def _solve(

@@ -96,6 +96,11 @@ class Match:
         return float(np.clip(2 * np.mean(white) - 1, 0, 1))
 
     @property
+    def contrast(self) -> float:
+        """Mean of the squared gradient, 0 where no pixel carries data."""
+        return float((self.g**2 * self.used).mean())
+
+    @property
     def noise(self) -> float:
         """Standard deviation of the residual at ``u``, in units of the normalised images."""
         return float(np.sqrt(np.mean(self.r[self.used] ** 2))) if self.used.any() else 0.0

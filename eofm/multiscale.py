@@ -41,9 +41,10 @@ def pyramid(
     grids = [Grid(shape, spacing)]
     for scale in range(1, scales or max(shape)):
         rows, columns = (ceil((n - 1) * factor) + 1 for n in grids[-1].shape)
-        if scales is None and (min(rows, columns) < SMALL or (rows, columns) == grids[-1].shape):
-            break
-        if min(rows, columns) < SMALLEST or (rows, columns) == grids[-1].shape:
+        least = SMALL if scales is None else SMALLEST
+        if min(rows, columns) < least or (rows, columns) == grids[-1].shape:
+            if scales is None:
+                break
             raise InputError(
                 f"an image of {height} x {width} px is too small for {scales} scales;"
                 f" use at most {scale} (scales) or a factor nearer 1"

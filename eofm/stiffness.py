@@ -21,7 +21,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from eofm.elasticity import deform
+from eofm.elasticity import deform, press
 from eofm.errors import InputError
 from eofm.estimate import Estimate, estimate_displacement
 from eofm.functional import EDGES, Pointwise
@@ -125,7 +125,7 @@ def identify_stiffness(
     bubbles : DataFrame, optional
         Tracked bubbles, see `estimate_displacement`.
     dead : ndarray of bool, shape (height, width), optional
-        Pixels before compression that carry no data.
+        Pixels that carry no data, in both images.
     pixel_size : (lateral, axial)
         Sides of a pixel in any unit.
     progress : bool
@@ -145,7 +145,7 @@ def identify_stiffness(
     The weight gamma is divided by 3 until that no longer clearly lowers the misfit on
     held-out pixels, see `choose_gamma`; each minimum is the start of the next.
     """
-    motion = _motion(sample, edges)
+    motion = press(sample) if edges is None else edges
     _check(I1, I2, sample, motion)
     known: dict[str, Any] = {"bubbles": bubbles, "dead": dead, "pixel_size": pixel_size}
     slip = sample.contact == "slip"
@@ -216,12 +216,6 @@ def _identify(
     log_E = model.elements_to_pixels(log_E - np.median(log_E))
     elastic = whole.u(whole.state(m)) / h
     return Stiffness(np.exp(log_E), elastic, estimate, 1.0, gamma, m, whole)
-
-
-def _motion(sample: Sample, edges: dict[Edge, Array] | None) -> dict[Edge, Array]:
-    if edges is None:
-        return {"top": np.zeros((2, 1)), "bottom": np.array([[0.0], [-sample.compression]])}
-    return edges
 
 
 def _check(I1: Array, I2: Array, sample: Sample, motion: dict[Edge, Array]) -> None:

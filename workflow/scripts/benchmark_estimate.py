@@ -1,7 +1,6 @@
 """Time, memory and error of one tool on one pair of images, which is all that it is given."""
 
 from contextlib import redirect_stdout
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,13 +16,14 @@ from eofm.images import normalise
 SMALL = 64
 
 tool, size = snakemake.wildcards.tool, int(snakemake.wildcards.size)
-run = partial(peers.estimate, tool)
-if tool in ("eofm", "eofm_preset"):
-    settings = eofm.Estimation(**snakemake.params[tool])
 
-    def run(I1, I2):
-        """Displacement by EOFM."""
-        return eofm.estimate_displacement(I1, I2, settings).u
+
+def run(I1, I2):
+    """Displacement by the tool; None where it is not installed."""
+    if tool in peers.TOOLS:
+        return peers.estimate(tool, I1, I2)
+    settings = eofm.Estimation(**snakemake.params[tool])
+    return eofm.estimate_displacement(I1, I2, settings).u
 
 
 truth = io.read_field(Path(snakemake.input.truth))
