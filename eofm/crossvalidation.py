@@ -40,7 +40,7 @@ def first_alpha(match: Match) -> float:
     It holds a structure of the ``REACH`` as firmly as the mean gradient of the images does.
     """
     reach = REACH * float(np.sqrt(np.prod(match.grid.spacing)))
-    return (match.contrast + np.finfo(float).tiny) * reach**4
+    return (match.strength + np.finfo(float).tiny) * reach**4
 
 
 def enough(shape: tuple[int, ...]) -> bool:
@@ -72,7 +72,7 @@ def choose_alpha(
         First weight tried.
     """
     windows = _windows(match.grid.shape)
-    ridge = RIDGE * match.contrast
+    ridge = RIDGE * match.strength
     trials = [
         _Trial(_cut(match, w), about[:, *w], prescribed[:, *w], free[w], fold, ridge)
         for w in windows

@@ -195,12 +195,15 @@ def draw_component(
 
 
 def save(figure: Figure, paths: Sequence[Path], settings: Figures = Figures()) -> None:
-    """Write a figure to files of the kinds that their names end in, free of dates."""
+    """Write a figure to files of the kinds that their names end in, free of dates.
+
+    Its layout is that of the first file, from then on.
+    """
     for path in paths:
         metadata = {"CreationDate": None} if path.suffix == ".pdf" else {}
         with replacing(path) as temporary, mpl.rc_context(STYLE):
             figure.savefig(temporary, dpi=settings.dpi, metadata=metadata)
-        figure.set_layout_engine("none")  # the first file's is kept for all
+        figure.set_layout_engine("none")
 
 
 def _panels(

@@ -154,6 +154,8 @@ def _turn(c: Array) -> None:
     samples in between.
     """
     n = len(c) - 3
+    if n == 1:
+        return
     power = interpolation.POLE ** np.arange(n)[:, None]
     far = power[-1]
     first, last = (c[2] - c[1]) / 3, (c[n - 1] - c[n]) / 3

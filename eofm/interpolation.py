@@ -2,7 +2,7 @@
 
 Coefficients of cubic splines have shape (n + 3, m + 3) for an image of n rows and m columns:
 those of pixel (i, j) stand at (i + 1, j + 1), framed by one row and column before and two
-after that continue them as in a mirror. So the spline's value anywhere in the image is a sum
+after that continue them, here as in a mirror. So the spline's value anywhere in the image is a sum
 over 4 x 4 coefficients, without questions at the edges.
 
 Every row or strip is computed by one thread, in one order: results do not depend on the
@@ -184,7 +184,7 @@ def _resample_row(row, c, i, at1, w1, at2, w2):
 
 @njit(cache=True, parallel=True)
 def resample(J, c, at1, w1, at2, w2):
-    """Write to J the sums of coefficients ``at`` with weights ``w``, along both axes.
+    """Write to J the sums of entries ``at`` of c with weights ``w``, along both axes.
 
     at1, w1: shape (columns of J, number of terms); at2, w2: the same for rows.
     """

@@ -3,14 +3,12 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.sparse.linalg import LinearOperator, cg
-from threadpoolctl import threadpool_limits
 
 from eofm.functional import Pointwise
 from eofm.sensitivity import Elastic, State
@@ -24,15 +22,9 @@ LARGEST = np.log(30)
 # where all motions are prescribed.
 ANCHOR = 1e-6
 STEP = 3.0
-# Gain below which fits that are only compared stop, in least gains: they rank weights long
-# before they have converged.
+# Gain below which fits that are only compared stop, in units of ``least_gain``: they rank weights
+# long before they have converged.
 COMPARED = 10.0
-
-F = TypeVar("F", bound=Callable[..., object])
-
-# Decorates what calls BLAS for many small matrices: there threads of its own wait for each
-# other most of the time, and results depend on their number.
-serial: Callable[[F], F] = threadpool_limits.wrap(limits=1, user_api="blas")
 
 # Called after each Gauss-Newton step with gamma, the number of the step and its gain.
 Report = Callable[[float, int, float], object]
@@ -77,7 +69,10 @@ class Problem:
         return (slope(m) * state.adjoint(f)).ravel()
 
     def solver(self, m: Array, state: State, prior: sp.csr_array) -> Callable[[Array], Array]:
-        """Solve the Gauss-Newton system by conjugate gradients with the prior's inverse."""
+        """Solve the Gauss-Newton system, for a matrix of the prior with its damping.
+
+        By conjugate gradients, with the inverse of that matrix as preconditioner.
+        """
         factor = cholesky_banded(_band(prior), lower=True, check_finite=False), True
         shape = (m.size, m.size)
 
@@ -154,7 +149,7 @@ def choose_gamma(
     A third of the weight counts as better where the mean misfit of held-out blocks falls by
     more than ``clear`` standard errors of the difference (as in the rule of one standard
     error, Breiman et al., Classification and Regression Trees, 1984, but between paired
-    blocks); otherwise the stronger prior is kept.
+    blocks); otherwise the stronger prior is kept. Fits for this stop at ten times the least gain.
 
     Parameters
     ----------

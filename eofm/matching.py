@@ -96,7 +96,7 @@ class Match:
         return float(np.clip(2 * np.mean(white) - 1, 0, 1))
 
     @property
-    def contrast(self) -> float:
+    def strength(self) -> float:
         """Mean of the squared gradient, 0 where no pixel carries data."""
         return float((self.g**2 * self.used).mean())
 

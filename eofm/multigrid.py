@@ -9,6 +9,7 @@ iterations that depends neither on the size nor on the image:
   Galerkin product of bilinear interpolation. An average of the 2 x 2 matrices instead would
   forbid a sharp bubble to turn or to be strained, and cost 3 times the iterations; where the
   smoothness term is so large that it forbids that itself, the average is as good and faster.
+  Not so inside of the image beside pixels where ``v = 0``, which are as stiff as need be.
 - Pixels where ``v = 0`` are stiff pixels of the pointwise term on all but the finest grid.
 - The smoother is the Chebyshev iteration of the fourth kind of Lottes, Numer. Linear
   Algebra Appl. 30 (2023) e2518, which needs an upper bound of the spectrum only. It is a
@@ -62,7 +63,7 @@ def multigrid(
     initial: Array | None = None,
     report: Callable[[int, float], None] | None = None,
 ) -> Array:
-    """Minimiser of F, shape (2, height, width), to a relative residual.
+    """Minimiser of F, shape (2, height, width), to a relative residual or a change.
 
     Parameters
     ----------
@@ -85,7 +86,7 @@ def multigrid(
     InputError
         If F has no unique minimiser (up to rounding).
     NotConverged
-        If ``max_iterations`` do not reach ``tol``.
+        If ``max_iterations`` reach neither ``tol`` nor ``change``.
     """
     top, operator = hierarchy(F), finest(F)
     w1, w2 = F.grid.weights
@@ -121,8 +122,8 @@ def multigrid(
         squares = stencils.advance(x, r, b, p, q, zr / pq).sum(axis=1)
         residual, changed = math.sqrt(squares[0]) / size, math.sqrt(squares[1] / F.free.size)
     raise NotConverged(
-        f"multigrid: relative residual {residual:.1e} instead of {tol:.1e} "
-        f"after {max_iterations} iterations"
+        f"multigrid: relative residual {residual:.1e} instead of {tol:.1e}, last change"
+        f" {changed:.1e} px instead of {change:.1e}, after {max_iterations} iterations"
     )
 
 
@@ -247,7 +248,8 @@ def hierarchy(F: Quadratic) -> Level | Coarsest:
             " undetermined; give a bubble or an edge, or a smaller mask"
         )
     precision = np.float64 if bending or contrast > SINGLE else np.float32
-    couplings = 12 if contrast > AVERAGE[F.smoothness] else 0
+    average = contrast <= AVERAGE[F.smoothness] and F.free[1:-1, 1:-1].all()
+    couplings = 0 if average else 12
 
     levels = []
     h1, h2 = map(float, F.grid.spacing)

@@ -2,14 +2,17 @@
 
 import argparse
 import json
+from collections.abc import Sequence
 from difflib import get_close_matches
-from types import NoneType
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar
 
 from eofm.errors import InputError
 from eofm.settings import PAPER, Estimation, Section
 
 S = TypeVar("S", bound=Section)
+
+# Values for which help and tables say none.
+NONE = (None, ())
 
 
 def add_options(group: argparse._ArgumentGroup, section: type[Section]) -> None:
@@ -21,7 +24,7 @@ def add_options(group: argparse._ArgumentGroup, section: type[Section]) -> None:
             f"--{name.replace('_', '-')}",
             metavar="VALUE",
             nargs="*" if section.takes_many(name) else None,
-            type=parse_optional if NoneType in get_args(field.annotation) else parse_value,
+            type=parse_optional if default in NONE else parse_value,
             default=argparse.SUPPRESS,
             help=f"{field.description} (default: {'none' if shown in ('', None) else shown}"
             + (f"; paper: {PAPER[name]}" if section is Estimation and name in PAPER else "")
@@ -38,13 +41,13 @@ def parse_value(text: str) -> Any:
 
 
 def parse_optional(text: str) -> Any:
-    """The same where there may be no value, for which help and tables say none."""
+    """The same where there may be no value."""
     return None if text == "none" else parse_value(text)
 
 
 def settings_of(section: type[S], args: argparse.Namespace) -> S:
     """Checked settings of a section from the options given."""
-    return section.parse(_given(args, set(section.model_fields)), section.__name__.lower())
+    return section.parse(_given([section], args), section.__name__.lower())
 
 
 def sections_of(
@@ -52,7 +55,7 @@ def sections_of(
 ) -> list[Any]:
     """Settings whose names do not clash, from a file and from options; options win."""
     known = {name for section in sections for name in section.model_fields}
-    given = given | _given(args, known)
+    given = given | _given(sections, args)
     for name in given.keys() - known:
         close = get_close_matches(name, sorted(known), 1)
         hint = f"; did you mean {close[0]}?" if close else ""
@@ -65,7 +68,12 @@ def sections_of(
     ]
 
 
-def _given(args: argparse.Namespace, names: set[str]) -> dict[str, Any]:
-    """The options of some names; ``none`` alone stands for no value where there may be many."""
-    options = {name: value for name, value in vars(args).items() if name in names}
-    return {name: None if value == [None] else value for name, value in options.items()}
+def _given(sections: Sequence[type[Section]], args: argparse.Namespace) -> dict[str, Any]:
+    """Values of the options that belong to some sections."""
+    given = {}
+    for section in sections:
+        for name, field in section.model_fields.items():
+            if hasattr(args, name):
+                value, default = getattr(args, name), field.get_default()
+                given[name] = default if value == [None] and default in NONE else value
+    return given

@@ -2,9 +2,8 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
-from eofm.images import gradient, normalise, warp
+from eofm.images import blur, gradient, inside, normalise, warp, warp_field
 
 Array = NDArray[np.float64]
 
@@ -12,8 +11,8 @@ Array = NDArray[np.float64]
 def residual(I1: Array, I2: Array, u: Array) -> Array:
     """``I2(x + u(x)) - I1(x)`` with both images in [0, 1]; NaN where x + u leaves the image."""
     I1, I2 = normalise(I1, I2)
-    warped, inside = warp(I2, u)
-    return np.where(inside, warped - I1, np.nan)
+    warped, seen = warp(I2, u)
+    return np.where(seen, warped - I1, np.nan)
 
 
 def inconsistency(forward: Array, backward: Array) -> Array:
@@ -21,8 +20,9 @@ def inconsistency(forward: Array, backward: Array) -> Array:
 
     NaN where x + u leaves the image. Zero for an exact pair of fields.
     """
-    (w1, inside), (w2, _) = (warp(w, forward) for w in backward)
-    return np.where(inside, np.hypot(forward[0] + w1, forward[1] + w2), np.nan)
+    height, width = forward.shape[1:]
+    seen = inside((height, width), np.mgrid[:height, :width][::-1] + forward)
+    return np.where(seen, np.hypot(*(forward + warp_field(backward, forward))), np.nan)
 
 
 def data_share(
@@ -42,8 +42,8 @@ def data_share(
     background.
     """
     g1, g2 = np.where(dead, 0, gradient(I1, spacing))
-    widths = [width / h for h in spacing[::-1]]
-    A11, A12, A22 = (ndimage.gaussian_filter(A, widths) for A in (g1 * g1, g1 * g2, g2 * g2))
+    window = width / spacing[0], width / spacing[1]
+    A11, A12, A22 = (blur(A, window) for A in (g1 * g1, g1 * g2, g2 * g2))
     smaller = (A11 + A22) / 2 - np.hypot((A11 - A22) / 2, A12)
     smaller = np.maximum(smaller, 0)
     held = alpha / width**2 if smoothness == "gradient" else 2 * alpha / width**4

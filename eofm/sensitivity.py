@@ -125,15 +125,18 @@ class Elastic:
         band[0] += RIDGE * band[0].mean()
         factor = cholesky_banded(band, lower=True, check_finite=False)
         u = values.copy()
-        forces = self.assemble(E[:, None] * (u[self.dofs] @ self.element_matrix))
+        forces = self.assemble(self.forces(E, u))
         u[~fixed] = cho_solve_banded((factor, True), -forces[~fixed], check_finite=False)
         return State(self, E, factor, u)
 
+    def forces(self, E: Array, u: Array) -> Array:
+        """Forces ``E_e K_e u`` on each element, shape (elements, 8)."""
+        return E[:, None] * (u[self.dofs] @ self.element_matrix)
+
     def assemble(self, forces: Array) -> Array:
         """Sum at the nodes of forces on elements, shape (elements, 8)."""
-        total = np.zeros(2 * self._node_order.size)
-        total += np.bincount(self.dofs.ravel(), forces.ravel(), total.size)
-        return total
+        total = np.bincount(self.dofs.ravel(), forces.ravel(), 2 * self._node_order.size)
+        return np.asarray(total, dtype=np.float64)
 
     @cached_property
     def _places(self) -> tuple[NDArray[np.intp], NDArray[np.intp], tuple[int, int]]:
@@ -215,8 +218,7 @@ class State:
 
     @cached_property
     def _forces(self) -> Array:
-        """Nodal forces ``E_e K_e u`` of each element, shape (elements, 8)."""
-        return self.E[:, None] * (self.u[self.model.dofs] @ self.model.element_matrix)
+        return self.model.forces(self.E, self.u)
 
     def _inverse(self, f: Array) -> Array:
         free = ~self.model.prescribed[0]

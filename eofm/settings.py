@@ -1,8 +1,8 @@
 """Typed settings of the steps.
 
-The defaults are the paper's experiment. Every model is the settings argument of the function
-that uses it, field by field the options of its command, and a section of
-``config/config.yaml``, so that a key has one name, one check and one description everywhere.
+Every model is the settings argument of the function that uses it and, field by field, the options
+of its command; most are sections of ``config/config.yaml`` as well. So a key has one name, one
+check and one description everywhere.
 """
 
 from difflib import get_close_matches
@@ -236,6 +236,7 @@ class Estimation(Section):
     smoothness: Literal["gradient", "bending"] = Field(
         "bending", description="R: squared first (the paper's) or second derivatives"
     )
+    # Beyond these bounds one of the two terms is lost in rounding.
     alpha: Annotated[float, Field(ge=1e-6, le=1e9)] | None = Field(
         None, description="weight of R; none: chosen on held-out pixels (with bending)"
     )

@@ -7,7 +7,7 @@ all questions at the edges. *Functionals* (right-hand sides, ``K u``) have shape
 An operator K is passed as ``A, G, free, X1, X2, bending``:
 
 - ``A``, shape (3, n, m): entries 11, 12, 22 of the 2 x 2 blocks of the pointwise term, per
-  area a_p of a node p. On coarse grids neighbouring nodes p, q are coupled too, and
+  area a_p of a node p. On coarse grids neighbouring nodes p, q may be coupled too, and
   ``a_p A_p`` is the sum over each row of blocks: the pointwise energy is
   ``sum_p a_p u_p . A_p u_p - sum_pq (u_p - u_q) . G_pq (u_p - u_q)``;
 - ``G``, shape (12, n, m): its blocks between a node and the next ones in the directions
@@ -360,10 +360,10 @@ def _coarsen_strip(Ac, Gc, low, A, G, free, X1, X2, J1, t1, J2, t2):
 def coarsen(Ac, Gc, A, G, free, X1, X2, J1, t1, J2, t2):
     """Write the Galerkin product of the pointwise term with bilinear interpolation.
 
-    ``Ac`` is not divided by area yet, and an empty ``Gc`` leaves couplings out. Nodes that are
-    not free are as stiff as the smoothness term. On grids that are not nested the product can
-    couple next but one neighbours: we leave these out, which keeps the sums over rows and can
-    only stiffen the energy.
+    ``Ac`` is not divided by area yet. Nodes that are not free are as stiff as the smoothness
+    term. An empty ``Gc``, for an empty ``G``, leaves couplings out. On grids that are not nested
+    the product can couple next but one neighbours: we leave these out, which keeps the sums over
+    rows and can only stiffen the energy.
     """
     strips = (Ac.shape[1] - 1) // STRIP + 1
     if free.size < SERIAL:

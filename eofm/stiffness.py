@@ -14,10 +14,9 @@ background field of the next estimate, until the field settles.
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 from tqdm import tqdm
 
@@ -26,10 +25,14 @@ from eofm.errors import InputError
 from eofm.estimate import Estimate, estimate_displacement
 from eofm.functional import EDGES, Pointwise
 from eofm.images import unit_spacing
-from eofm.inversion import LARGEST, Problem, Report, choose_gamma, gauss_newton, serial
+from eofm.inversion import LARGEST, Problem, Report, choose_gamma, gauss_newton
 from eofm.matching import held_out
 from eofm.sensitivity import Elastic
 from eofm.settings import Edge, Estimation, Identification, Sample
+from eofm.threads import serial
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Array = NDArray[np.float64]
 
@@ -103,7 +106,7 @@ def identify_stiffness(
     estimation: Estimation = Estimation(),
     *,
     edges: dict[Edge, Array] | None = None,
-    bubbles: pd.DataFrame | None = None,
+    bubbles: "pd.DataFrame | None" = None,
     dead: NDArray[np.bool_] | None = None,
     pixel_size: tuple[float, float] = (1.0, 1.0),
     progress: bool = False,
@@ -143,7 +146,7 @@ def identify_stiffness(
     ``settings.trust``, all of it is multiplied by the factor for which they ask.
 
     The weight gamma is divided by 3 until that no longer clearly lowers the misfit on
-    held-out pixels, see `choose_gamma`; each minimum is the start of the next.
+    held-out pixels, see `choose_gamma`; each fit is the start of the next.
     """
     motion = press(sample) if edges is None else edges
     _check(I1, I2, sample, motion)

@@ -10,9 +10,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from eofm.inversion import serial, slope
+from eofm.inversion import slope
 from eofm.matching import random_signs
 from eofm.stiffness import Stiffness
+from eofm.threads import serial
 
 Array = NDArray[np.float64]
 

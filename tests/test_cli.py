@@ -1,5 +1,8 @@
 """Every step from the command line: that it works, and how it fails."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -182,10 +185,15 @@ def test_error_bars_and_stiffness_as_their_help_says(folder, tmp_path, capsys):
 def test_none_is_said_as_help_says_it(folder, tmp_path):
     words = ["estimate", str(folder / "a.tif"), str(folder / "b.tif"), "--method", "paper"]
     words += ["--output", str(tmp_path / "u.tif"), "--smoothness", "bending", "--scales", "none"]
-    assert main([*words, "--alpha", "none", "--limits", "none"]) == 0
+    assert main([*words, "--alpha", "none", "--limits", "none", "--zero-edges", "none"]) == 0
 
 
 def test_no_bubble_found(folder, tmp_path, capsys):
     words = ["track", folder / "a.tif", folder / "b.tif", "--output", tmp_path / "bubbles.csv"]
     fails(capsys, [*words, "--min-area", "399"], "no bubble found")
     assert not (tmp_path / "bubbles.csv").exists()
+
+
+def test_an_estimate_without_bubbles_does_not_wait_for_pandas():
+    code = "import sys, eofm.cli, eofm.estimate; sys.exit('pandas' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0

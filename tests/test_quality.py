@@ -38,3 +38,13 @@ def test_data_decides_where_there_is_contrast_in_both_directions(rng):
     dead = nowhere.copy()
     dead[:, :30] = True
     assert data_share(I, "gradient", 0.05, 5.0, (1.0, 1.0), dead)[10:50, 5:15].max() < 0.1
+
+
+def test_strains_are_inverted_up_to_the_edges():
+    x2, x1 = np.mgrid[:30, :40].astype(float)
+    there = np.stack([0.05 * (x1 - 20), -0.04 * x2])
+    # What is at y came from x = (y1 + 1) / 1.05, y2 / 0.96.
+    back = np.stack([(x1 + 1) / 1.05 - x1, x2 / 0.96 - x2])
+    error = inconsistency(there, back)
+    assert np.isfinite(error[:, 20])[:-1].all()
+    np.testing.assert_allclose(error[np.isfinite(error)], 0, atol=1e-12)

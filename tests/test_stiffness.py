@@ -4,7 +4,9 @@ from functools import cache
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
+from eofm import inversion
 from eofm.elasticity import displacement, true_field
 from eofm.errors import InputError
 from eofm.estimate import estimate_displacement
@@ -15,6 +17,7 @@ from eofm.phantom import make_phantom
 from eofm.sensitivity import Elastic
 from eofm.settings import Forward, Inclusion, Phantom, Sample
 from eofm.stiffness import identify_stiffness
+from eofm.threads import serial
 
 PLAIN = Sample(height=48, width=76, compression=2.0)
 PRESSED = {"top": np.zeros((2, 1)), "bottom": np.array([[0.0], [-2.0]])}
@@ -135,3 +138,30 @@ def test_unknown_edge_motion_is_refused():
 def test_images_of_another_size_are_refused():
     with pytest.raises(InputError, match="have to be the same"):
         identify_stiffness(np.ones((4, 4)), np.ones((4, 4)), PLAIN)
+
+
+@pytest.mark.parametrize("stiff", [True, False])
+def test_rough_fits_choose_the_weight_of_converged_ones(stiff, monkeypatch):
+    chosen = []
+    for compared in (inversion.COMPARED, 1.0):
+        monkeypatch.setattr(inversion, "COMPARED", compared)
+        chosen.append(identify_stiffness(*pair(stiff)[:2], PLAIN).gamma)
+    assert chosen[0] == chosen[1]
+
+
+def test_blas_takes_one_thread_and_its_own_number_afterwards():
+    def threads():
+        return {lib["num_threads"] for lib in threadpool_info() if lib["user_api"] == "blas"}
+
+    @serial
+    def inner():
+        return threads()
+
+    @serial
+    def outer():
+        return inner() | threads()
+
+    with threadpool_limits(2, user_api="blas"):
+        before = threads()
+        assert outer() == {1}
+        assert threads() == before

@@ -13,7 +13,7 @@ rule ensemble:
 
 rule ensemble_phantom:
     input:
-        code=code("phantom", "bubbles", "stiffness", "uncertainty", "metrics"),
+        code=code("config", "phantom", "bubbles", "stiffness", "uncertainty", "metrics"),
     output:
         **{
             name: f"{ENSEMBLE}/{{number}}/{name}.tif"

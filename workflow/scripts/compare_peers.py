@@ -5,9 +5,9 @@
 
 The frame is the image after compression; the one before is sampled from it, so that the
 true displacement is known. Brightness of the second frame falls to 0.7, both get 5 % of noise.
-Every tool sees the same locally normalised images. Settings: EOFM is run once, with the preset
-and its local window; every other tool with that of peers.py, TV-L1 and
-DIS with each of several, of which the best against the truth counts.
+Every tool sees the same locally normalised images, in windows of 20 px. Settings: EOFM is run
+once, with the preset; every other tool with that of peers.py, TV-L1 and DIS with each of several,
+of which the best against the truth counts.
 """
 
 import argparse

@@ -10,8 +10,9 @@ phantom, and dense speckle with 5 % noise that moves as that phantom does. Every
 on one thread: their times compare, and their results do not depend on the machine's cores.
 Libraries are imported where they are used, for most are optional: ``pip install '.[peers]'``.
 
-pyxel-dic requires opencv-python, whose files are also those of the OpenCV with DeepFlow. pip
-installs that one first and overwrites it; after another order DeepFlow is not found.
+pyxel-dic requires opencv-python, and the OpenCV with DeepFlow is opencv-contrib-python-headless:
+both write the same folder, and the last one installed stays. Where DeepFlow is not found, install
+the latter again (``pip install --force-reinstall --no-deps opencv-contrib-python-headless``).
 """
 
 from collections.abc import Callable
@@ -135,10 +136,14 @@ def demons(I1: Array, I2: Array) -> Array:
 def pyxel(I1: Array, I2: Array) -> Array:
     """Finite element image correlation of pyxel-dic: squares of 12 px, on 4 scales.
 
-    Its regularisation has a length of 32 px; without one it finds nothing in such images. Squares
-    of 8 px with 64 px, and of 16 px with 64 px, are as good, larger ones and shorter lengths not.
+    Its regularisation has a length of 256, 128, 64 and at last 16 px; without one it finds nothing
+    in such images. Squares of 8 or 16 px with twice these lengths are as good, larger squares
+    and shorter lengths are not.
     """
-    import pyxel as px
+    try:
+        import pyxel as px
+    except OSError as error:  # gmsh needs libraries of the system
+        raise ImportError(error) from error
 
     reference, deformed = (px.Image(name) for name in ("reference", "deformed"))
     reference.pix, deformed.pix = 255 * I1, 255 * I2
@@ -169,7 +174,7 @@ def estimate(tool: str, I1: Array, I2: Array, **setting: float) -> Array | None:
     """Displacement by the tool of a name; None where its library is not installed."""
     try:
         return TOOLS[tool](I1, I2, **setting)
-    except (ImportError, OSError) as error:  # or what a library needs of the system
+    except ImportError as error:
         print(f"{tool}: not installed ({error})")
         return None
 
