@@ -132,15 +132,17 @@ class ImagePair:
         """Return the images linearised about a displacement."""
         samples = u / np.reshape(self.grid.spacing, (2, 1, 1))
         if self.mean:
-            warped, moved, inside = self._spline.warp_with_gradient(samples, self.grid.spacing)
-            g = (self._gradient + moved) / 2
+            warped, g, inside = self._spline.warp_with_gradient(samples, self.grid.spacing)
+            g += self._gradient
+            g /= 2
         else:
             warped, inside = self._spline.warp(samples)
             g = self._gradient
         used = inside & self.live
         if not self.live.all():
             used &= Spline(self.live.astype(np.float64)).warp(samples)[0] > LIVE
-        return Match(self.grid, u, g, warped - self.I1, used)
+        warped -= self.I1
+        return Match(self.grid, u, g, warped, used)
 
     @cached_property
     def _spline(self) -> Spline:

@@ -106,7 +106,7 @@ def multigrid(
         else:
             x.fill(0.0)
         del initial  # maybe nobody else's
-    b = r.astype(top.x.dtype)
+    b = r.astype(top.x.dtype, copy=False)
     residual, zr, changed = _norm(r) / size, math.inf, math.inf
     for iteration in range(max_iterations + 1):
         if report is not None:
