@@ -390,7 +390,7 @@ def _advance_row(x, r, b, p, q, step, i):
 
 @njit(cache=True, parallel=True)
 def advance(x, r, b, p, q, step):
-    """``x += step p``, ``r -= step q``, ``b = r``.
+    """``x += step p``, ``r -= step q``, ``b = r``, where b may be r itself.
 
     Return the squares of r and of the change of x, summed over each row, shape (2, n).
     """

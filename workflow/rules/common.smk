@@ -13,7 +13,6 @@ from pathlib import Path
 import pandas as pd
 
 import eofm.config
-import eofm.settings
 from eofm.cli import ANALYSIS
 from eofm.errors import InputError
 
@@ -59,14 +58,13 @@ def options(*sections):
     words = []
     for section in sections:
         for name, value in section.model_dump(mode="json").items():
-            if value is None and name in eofm.settings.PAPER:
-                words += [f"--{name.replace('_', '-')}", "none"]
-            elif value is not None:
-                words.append(f"--{name.replace('_', '-')}")
-                words += [
-                    item if isinstance(item, str) else json.dumps(item)
-                    for item in (value if isinstance(value, list) else [value])
-                ]
+            words.append(f"--{name.replace('_', '-')}")
+            if value is None:
+                value = "none"
+            words += [
+                item if isinstance(item, str) else json.dumps(item)
+                for item in (value if isinstance(value, list) else [value])
+            ]
     return shlex.join(words)
 
 

@@ -17,7 +17,7 @@ threadpool_limits(1)
 
 T = TypeVar("T")
 
-# Runs are repeated until they have taken so many seconds together, or so often; at least once,
+# Runs are repeated until they have taken so many seconds together, or so often; at least twice,
 # for the first touch of memory can take longer than the run.
 LONG, OFTEN = 2.0, 5
 

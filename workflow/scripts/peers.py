@@ -157,12 +157,8 @@ def pyxel(I1: Array, I2: Array) -> Array:
     moved = np.stack(camera.P(*(mesh.n + values[mesh.conn]).T))
     x1, x2 = (np.unique(x.round(6)) for x in nodes)
     order = np.lexsort(nodes.round(6))
-    return np.stack(
-        [
-            interpn((x2, x1), c[order].reshape(len(x2), len(x1)), np.mgrid[:height, :width].T).T
-            for c in moved - nodes
-        ]
-    )
+    u = (moved - nodes).T[order].reshape(len(x2), len(x1), 2)
+    return interpn((x2, x1), u, np.mgrid[:height, :width].T).T
 
 
 TOOLS: dict[str, Callable[..., Array]] = {
