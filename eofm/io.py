@@ -19,11 +19,11 @@ import yaml
 from numpy.typing import NDArray
 
 from eofm.errors import InputError
+from eofm.grid import Array
 
 if TYPE_CHECKING:
     import pandas as pd
 
-Array = NDArray[np.float64]
 
 # Smaller images hold no motion to speak of.
 SMALLEST = 8

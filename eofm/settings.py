@@ -20,8 +20,8 @@ from pydantic import (
 )
 
 from eofm.errors import InputError
+from eofm.grid import Edge
 
-Edge = Literal["top", "bottom", "left", "right"]
 Positive = Annotated[float, Field(gt=0)]
 
 

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-from eofm.functional import Quadratic
+from eofm.flow.functional import Quadratic
 
 
 def direct(F: Quadratic) -> NDArray[np.float64]:

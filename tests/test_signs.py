@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import eofm
-from eofm.images import evaluate, gradient, warp
+from eofm.imaging.splines import evaluate, gradient, warp
 
 RIGHT_DOWN = np.array([1.5, -0.75])
 

@@ -70,7 +70,7 @@ rule figure_stiffness:
     input:
         stiffness="results/tests/6/stiffness.tif",
         deviation="results/tests/6/stiffness_deviation.tif",
-        code=code("figures", "elasticity"),
+        code=code("figures", "forward"),
     output:
         png=report(
             "results/figures/stiffness.png",

@@ -12,8 +12,9 @@ from pathlib import Path
 
 import pandas as pd
 
-import eofm.config
-from eofm.cli import ANALYSIS
+import eofm
+import eofm.app.config
+from eofm.app.cli import ANALYSIS
 from eofm.errors import InputError
 
 # Jobs run with this interpreter's commands, whatever the PATH of the caller.
@@ -22,7 +23,7 @@ shell.prefix(
 )
 
 try:
-    settings = eofm.config.Config.parse(config, "configuration")
+    settings = eofm.app.config.Config.parse(config, "configuration")
 except InputError as error:
     sys.exit(f"{error}; every key is explained in config/README.md")
 
@@ -34,22 +35,22 @@ ROWS = ["background", *TESTS, *OURS]
 IMAGES_ONLY = settings.estimation.model_copy(update={"zero_edges": (), "beta": 0.0})
 FIGURES = ["figure3", "figure4", "figure5", "figure6", "figure7", "test2", "test4"]
 
-PACKAGE = Path(os.path.relpath(Path(eofm.config.__file__).parent))
+PACKAGE = Path(os.path.relpath(Path(eofm.__file__).parent))
+MODULES = {path.stem: path for path in PACKAGE.rglob("*.py")}
 
 
 def code(*modules):
     """Files of modules of the package and of all that they import: editing one reruns a rule."""
     found, queue = set(), ["cli", *modules]
     while queue:
-        path = PACKAGE / f"{queue.pop()}.py"
+        path = MODULES[queue.pop()]
         if path in found:
             continue
         found.add(path)
         for node in ast.parse(path.read_text()).body:
-            if isinstance(node, ast.ImportFrom) and node.module == "eofm":
-                queue += [alias.name for alias in node.names]
-            elif isinstance(node, ast.ImportFrom) and node.module.startswith("eofm."):
-                queue.append(node.module.removeprefix("eofm."))
+            if isinstance(node, ast.ImportFrom) and node.module.startswith("eofm"):
+                names = [*node.module.split("."), *(a.name for a in node.names)]
+                queue += [name for name in names[1:] if name in MODULES]
     return sorted(map(str, found))
 
 

@@ -63,7 +63,7 @@ rule ensemble_peers:
         reference=f"{ENSEMBLE}/{{number}}/reference.tif",
         deformed=f"{ENSEMBLE}/{{number}}/deformed.tif",
         truth=f"{ENSEMBLE}/{{number}}/true.tif",
-        code=code("images", "metrics"),
+        code=code("intensity", "metrics"),
         tools="workflow/scripts/peers.py",
     output:
         f"{ENSEMBLE}/{{number}}/peers.csv",

@@ -3,7 +3,7 @@
 
 rule true_field:
     input:
-        code=code("elasticity"),
+        code=code("forward"),
     output:
         "results/phantom/true.tif",
     log:
@@ -20,7 +20,7 @@ rule true_field:
 
 rule background_field:
     input:
-        code=code("elasticity"),
+        code=code("forward"),
     output:
         "results/phantom/background.tif",
     log:

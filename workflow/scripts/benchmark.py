@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
 from eofm import io
-from eofm.figures import STYLE, save
+from eofm.analysis.figures import STYLE, save
 from eofm.settings import Figures
 
 PANELS = {

@@ -10,7 +10,7 @@ from measure import measure, peak
 
 import eofm
 from eofm import io
-from eofm.images import normalise
+from eofm.imaging.intensity import normalise
 
 # Side of the part of the images on which everything is imported and compiled, px.
 SMALL = 64

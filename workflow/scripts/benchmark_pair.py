@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eofm import io
-from eofm.phantom import make_phantom
 from eofm.settings import Phantom
+from eofm.simulation.phantom import make_phantom
 
 # Bubbles per px: dense speckle with noise, or about as many as in the paper.
 DENSE = {"sigma": (1.2, 1.8), "brightness": (0.3, 1.0), "noise": 0.05}

@@ -11,9 +11,11 @@ import pandas as pd
 from measure import measure, peak
 
 from eofm import io
-from eofm.functional import Grid, Quadratic, data_term
-from eofm.images import gradient, normalise
-from eofm.multigrid import multigrid
+from eofm.flow.functional import Quadratic, data_term
+from eofm.flow.multigrid import multigrid
+from eofm.grid import Grid
+from eofm.imaging.intensity import normalise
+from eofm.imaging.splines import gradient
 
 TOLERANCE = 1e-8
 LIMIT = 1000

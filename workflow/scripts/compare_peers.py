@@ -22,7 +22,9 @@ from scipy import ndimage
 
 import eofm
 from eofm import io
-from eofm.images import evaluate, inside, normalise, normalise_locally
+from eofm.grid import inside
+from eofm.imaging.intensity import normalise, normalise_locally
+from eofm.imaging.splines import evaluate
 
 Array = NDArray[np.float64]
 

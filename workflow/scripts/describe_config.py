@@ -10,7 +10,7 @@ import types
 from pathlib import Path
 from typing import get_args
 
-from eofm.config import Config
+from eofm.app.config import Config
 from eofm.settings import Pair, Section
 
 FOLDER = Path(__file__).parents[2] / "config"

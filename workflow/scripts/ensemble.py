@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from eofm import io
-from eofm.figures import STYLE, save
+from eofm.analysis.figures import STYLE, save
 from eofm.settings import Figures
 
 METHODS = ["background", "test5", "preset_free", "preset", "test6", *snakemake.params.tools]

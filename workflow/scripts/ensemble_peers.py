@@ -7,8 +7,8 @@ import pandas as pd
 import peers
 
 from eofm import io
-from eofm.images import normalise
-from eofm.metrics import relative_errors
+from eofm.analysis.metrics import relative_errors
+from eofm.imaging.intensity import normalise
 
 truth = io.read_field(Path(snakemake.input.truth))
 images = io.read_pair(Path(snakemake.input.reference), Path(snakemake.input.deformed))

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 import eofm
 from eofm import io
-from eofm.config import Ensemble
-from eofm.elasticity import lame
-from eofm.images import normalise
+from eofm.app.config import Ensemble
+from eofm.elasticity.forward import lame
+from eofm.imaging.intensity import normalise
 
 Array = NDArray[np.float64]
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from eofm import io
-from eofm.figures import image_pair, save
+from eofm.analysis.figures import image_pair, save
 from eofm.settings import Figures
 
 settings = Figures(**snakemake.params.figures)

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from eofm import io
-from eofm.elasticity import lame
-from eofm.figures import moduli, save
+from eofm.analysis.figures import moduli, save
+from eofm.elasticity.forward import lame
 from eofm.settings import Figures, Sample
 
 settings = Figures(**snakemake.params.figures)

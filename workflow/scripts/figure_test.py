@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 
 from eofm import io
-from eofm.figures import field_and_error, save
+from eofm.analysis.figures import field_and_error, save
 from eofm.settings import Figures
 
 settings = Figures(**snakemake.params.figures)

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from eofm import io
-from eofm.figures import field, save
+from eofm.analysis.figures import field, save
 from eofm.settings import Figures
 
 settings = Figures(**snakemake.params.figures)

@@ -1,6 +1,6 @@
 """Other tools for the same task, each as a function of two images.
 
-The images have intensities of about [0, 1], as `eofm.images.normalise` returns them, and
+The images have intensities of about [0, 1], as `eofm.imaging.splines.normalise` returns them, and
 the result ``u``, shape (2, height, width) in px, satisfies ``I2(x + u(x)) = I1(x)`` with
 component 0 lateral and component 1 axial, as everywhere in eofm.
 
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.interpolate import interpn
 
-from eofm.images import resize, resize_field
+from eofm.imaging.splines import resize, resize_field
 
 Array = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from paper import LARGEST, TABLE
 from scipy.optimize import OptimizeResult, differential_evolution
 
 import eofm
-from eofm.config import Config, load
+from eofm.app.config import Config, load
 
 # Parameter: bounds and whether it is a fraction of the sample's height (h) or width (w).
 BOUNDS = {

@@ -5,8 +5,8 @@ from pathlib import Path
 import pandas as pd
 
 from eofm import io
-from eofm.figures import compare_errors, compare_fields, image_pair, save
-from eofm.metrics import pixel_errors
+from eofm.analysis.figures import compare_errors, compare_fields, image_pair, save
+from eofm.analysis.metrics import pixel_errors
 from eofm.settings import Figures
 
 settings = Figures(**snakemake.params.figures)

@@ -1,0 +1,1 @@
+"""Everything for one pair or sequence: what is known, results, quality, figures, files."""

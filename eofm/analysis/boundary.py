@@ -1,0 +1,79 @@
+"""What is known of the edges of an image, from words such as ``moved 0 -30 um``."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from eofm.errors import InputError
+from eofm.grid import Array, Edge
+from eofm.io import read_columns
+
+WORDS = "free, fixed, moved U1 U2 [um], moved FILE, or outside"
+
+
+@dataclass(frozen=True)
+class EdgeState:
+    """An edge of the image or, where that lies outside, of the sample.
+
+    Attributes
+    ----------
+    outside : bool
+        The sample goes on beyond the image: no condition on the estimate.
+    motion : ndarray, shape (2, n), or None
+        Displacement along the edge, px; n = 1 where it is constant, None where it is free.
+    """
+
+    outside: bool
+    motion: Array | None
+
+
+def parse_edge(
+    edge: Edge, text: str, shape: tuple[int, ...], pixel_size: tuple[float, float]
+) -> EdgeState:
+    """Read the description of an edge of a sample of a ``shape`` (height, width), px.
+
+    Raises
+    ------
+    InputError
+        If a word is unknown, a number is missing, a profile has another length than the
+        edge, or the motion is larger than the image.
+    """
+    words = text.split()
+    outside = words[:1] == ["outside"]
+    words = words[1:] if outside else words
+    kind = words[0] if words else ("free" if outside else "")
+    if kind not in ("free", "fixed", "moved") or (kind != "moved" and len(words) > 1):
+        raise InputError(f"{edge}: cannot read '{text}'; use {WORDS}")
+    if kind == "free":
+        return EdgeState(outside, None)
+    if kind == "fixed":
+        return EdgeState(outside, np.zeros((2, 1)))
+    length = shape[1] if edge in ("top", "bottom") else shape[0]
+    motion = _motion(edge, words[1:], length, pixel_size)
+    for i, size in enumerate(shape[::-1]):
+        if abs(motion[i]).max() >= size:
+            raise InputError(
+                f"{edge}: moves by {abs(motion[i]).max():g} px but the image is only {size} px"
+                " long in that direction; check the unit (px, or um)"
+            )
+    return EdgeState(outside, motion)
+
+
+def _motion(edge: Edge, words: list[str], length: int, pixel_size: tuple[float, float]) -> Array:
+    if len(words) == 1:
+        motion = read_columns(Path(words[0]), ("u1", "u2")).to_numpy(dtype=float).T
+        if motion.shape[1] != length:
+            raise InputError(
+                f"{edge}: {words[0]} has {motion.shape[1]} rows but the edge has {length} pixels;"
+                " give one row per pixel of the sample's edge"
+            )
+        return motion
+    unit = words.pop() if len(words) == 3 else "px"
+    try:
+        motion = np.array([[float(word)] for word in words])
+    except ValueError:
+        motion = np.full((2, 1), np.nan)
+    if motion.shape != (2, 1) or unit not in ("px", "um") or not np.isfinite(motion).all():
+        raise InputError(f"{edge}: cannot read 'moved {' '.join(words)}'; use {WORDS}")
+    return motion / np.reshape(pixel_size, (2, 1)) if unit == "um" else motion

@@ -1,0 +1,78 @@
+"""Strain from displacement."""
+
+import numpy as np
+from scipy import ndimage
+
+from eofm.errors import InputError
+from eofm.grid import Array
+
+# What the derivative is called in summaries.
+FILTER = "local linear least squares with Gaussian weights"
+
+
+def strain(u: Array, pixel_size: tuple[float, float], window: float) -> Array:
+    """Linearised strain of a displacement field.
+
+    Parameters
+    ----------
+    u : ndarray, shape (2, height, width)
+        Displacement, px.
+    pixel_size : (lateral, axial)
+        Sides of a pixel, um.
+    window : float
+        Standard deviation of the Gaussian weights, um.
+
+    Returns
+    -------
+    ndarray, shape (3, height, width)
+        ``e11 = d1 u1`` (lateral), ``e22 = d2 u2`` (axial; negative under compression) and
+        ``e12 = (d1 u2 + d2 u1) / 2`` (shear), without unit.
+
+    Raises
+    ------
+    InputError
+        If the window is narrower than half a pixel.
+
+    Notes
+    -----
+    Each derivative is the slope of the line that fits the displacement best around a
+    pixel. Up to the edges it is exact for displacements that are linear. Gaussian weights
+    are products, so the fit is a mean across the line and a slope along it.
+    """
+    widths = [window / p for p in pixel_size]
+    if min(widths) < 0.5:
+        raise InputError(
+            f"strain_window: {window:g} um is less than half a pixel"
+            f" ({pixel_size[0]:g} x {pixel_size[1]:g} um); a few pixels are usual"
+        )
+
+    def derivative(i: int, j: int) -> Array:
+        across = _mean(u[i], j, widths[1 - j])
+        return _slope(across, 1 - j, widths[j]) * (pixel_size[i] / pixel_size[j])
+
+    shear = (derivative(1, 0) + derivative(0, 1)) / 2
+    return np.stack([derivative(0, 0), derivative(1, 1), shear])
+
+
+def _sum(f: Array, axis: int, width: float) -> Array:
+    """Sum along an axis under a Gaussian that ends at the border."""
+    return ndimage.gaussian_filter1d(f, width, axis, mode="constant")
+
+
+def _along(values: Array, axis: int) -> Array:
+    """Values along an axis of an image."""
+    return np.expand_dims(values, 1 - axis)
+
+
+def _mean(f: Array, axis: int, width: float) -> Array:
+    """Mean along an axis per sample."""
+    return _sum(f, axis, width) / _along(_sum(np.ones(f.shape[axis]), 0, width), axis)
+
+
+def _slope(f: Array, axis: int, width: float) -> Array:
+    """Slope along an axis per sample, from its moments."""
+    # Centred positions keep the differences of moments well conditioned.
+    x = np.linspace(-1, 1, f.shape[axis])
+    weight, first, second = (_along(_sum(x**k, 0, width), axis) for k in (0, 1, 2))
+    covariance = weight * _sum(_along(x, axis) * f, axis, width) - first * _sum(f, axis, width)
+    return covariance / (weight * second - first**2) * 2 / (f.shape[axis] - 1)

@@ -1,0 +1,1 @@
+"""The forward model of a pressed sample, and its derivative."""

@@ -1,0 +1,274 @@
+"""Forward model: linearised elasticity of a compressed rectangular sample.
+
+The sample occupies ``[0, width - 1] x [0, height - 1]`` px, its corners being the
+centres of the corner pixels. It is fixed on top (Gamma_1), moved by ``g`` at the bottom
+(Gamma_2) and free on its sides, eq. (bdc_Dirichlet) of the paper. Depth grows
+downwards, so a compression by ``c`` px is ``g = (0, -c)``.
+"""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.interpolate import RectBivariateSpline
+from scipy.sparse.linalg import splu
+from skfem import (
+    Basis,
+    BilinearForm,
+    ElementQuad2,
+    ElementVector,
+    MeshQuad,
+    condense,
+)
+from skfem.helpers import ddot, div, sym_grad
+
+from eofm.grid import FACES, Array, Edge, Grid, along_edge, unit_spacing
+from eofm.settings import Forward, Sample
+
+Spacing = tuple[float, float]
+
+# Cells, along each side of a square, of the meshes of homogeneous samples; each is finer by
+# RATIO. The last one is as large as a profile of motion that is rough ever gets.
+RATIO = 1.5
+MESHES = (16, 24, 36, 54, 81, 122)
+# Cells shrink towards the corners, where stress is singular, with this power of the distance:
+# the rate of the elements is three, and displacements grow like r^0.6 and more.
+GRADING = 3
+
+
+def true_field(sample: Sample, forward: Forward = Forward()) -> Array:
+    """Displacement of a sample with its inclusions, shape (2, height, width), px."""
+    return displacement(sample, forward.true_cell)
+
+
+def background_field(sample: Sample, forward: Forward = Forward()) -> Array:
+    """The field u_bg of the same experiment without inclusions, eq. (Ansatz), px."""
+    return deform(
+        sample, press(sample), error=forward.background_error, slip=sample.contact == "slip"
+    )
+
+
+def displacement(sample: Sample, cell: float) -> Array:
+    """Displacement of a sample fixed on top and moved at the bottom.
+
+    Parameters
+    ----------
+    sample : Sample
+        Size, materials and motion of the bottom. Where its contact slips, top and
+        bottom prescribe u2 alone and the middle of the top stays where it is.
+    cell : float
+        Side of the biquadratic elements, px.
+
+    Returns
+    -------
+    ndarray, shape (2, height, width)
+        ``u`` with ``-div sigma(u) = 0`` at the pixel centres, px.
+    """
+    return _solve(sample, press(sample), make_basis(sample, cell), sample.contact == "slip")
+
+
+def deform(
+    sample: Sample,
+    motion: dict[Edge, Array],
+    *,
+    error: float = 1e-3,
+    pixel_size: tuple[float, float] = (1.0, 1.0),
+    slip: bool = False,
+) -> Array:
+    """Displacement of a homogeneous sample some of whose edges move in a known way.
+
+    It is smooth but for the corners, so that meshes that are finer there need a number of
+    cells that hardly grows with the pixels. They are refined until two of them agree.
+
+    Parameters
+    ----------
+    sample : Sample
+        Size and material, without inclusions; how it is pressed is stated by ``motion``.
+    motion : dict of ndarray, shape (2, n)
+        Displacement at n points that divide an edge evenly (n = 1: constant), px.
+        The other edges are free.
+    error : float
+        Largest error wanted, px, estimated for elements that converge with rate two at
+        least. A motion that is rough from pixel to pixel is followed less closely, as far as
+        the finest mesh goes.
+    pixel_size : (lateral, axial)
+        Sides of a pixel in any unit.
+    slip : bool
+        The edges named are held in u2 alone, and the middle of the first in u1.
+
+    Returns
+    -------
+    ndarray, shape (2, height, width)
+        At the pixel centres, px.
+    """
+    sample = sample.model_copy(update={"inclusions": ()})
+    spacing = unit_spacing(pixel_size)
+    coarse = np.full((2, *sample.shape), np.inf)
+    for cells in MESHES:
+        u = _solve(sample, motion, graded_basis(sample, cells, spacing), slip, spacing)
+        change = np.abs(u - coarse).max() / (RATIO**2 - 1)
+        if max(change, _missed(u, motion, slip)) <= error:
+            break
+        coarse = u
+    return u
+
+
+def press(sample: Sample) -> dict[Edge, Array]:
+    """Motion of the edges of the experiment, px: top fixed, bottom moved up."""
+    return {"top": np.zeros((2, 1)), "bottom": np.array([[0.0], [-sample.compression]])}
+
+
+def lame(sample: Sample, x: Array) -> tuple[Array, Array]:
+    """Lamé parameters (lambda, mu) at points ``x`` of shape (2, ...).
+
+    In units of the background's Young modulus: only ratios matter where the boundary
+    moves by a given displacement. Plane stress replaces lambda by
+    ``2 lambda mu / (lambda + 2 mu)``.
+    """
+    E = np.ones(x.shape[1:])
+    for disc in sample.inclusions:
+        E[(x[0] - disc.x1) ** 2 + (x[1] - disc.x2) ** 2 < disc.radius**2] = disc.stiffness
+    nu = sample.poisson_ratio
+    mu = E / (2 * (1 + nu))
+    if sample.plane == "stress":
+        return E * nu / (1 - nu**2), mu
+    return E * nu / ((1 + nu) * (1 - 2 * nu)), mu
+
+
+def make_basis(sample: Sample, cell: float, spacing: Spacing = (1.0, 1.0)) -> Basis:
+    """Biquadratic vector elements on a uniform mesh with cells of about ``cell``.
+
+    Lengths are those of pixels with sides ``spacing`` = (lateral, axial).
+    """
+    return _basis(
+        np.linspace(0, length, max(2, round(length / cell)) + 1)
+        for length in Grid(sample.shape, spacing).lengths
+    )
+
+
+def graded_basis(sample: Sample, cells: int, spacing: Spacing = (1.0, 1.0)) -> Basis:
+    """The same elements, about ``cells`` times ``cells``, which shrink towards the corners."""
+    lengths = Grid(sample.shape, spacing).lengths
+    sides = []
+    for length in lengths:
+        t = np.linspace(0, 1, max(4, round(cells * length / np.sqrt(np.prod(lengths)))) + 1)
+        sides.append(length * t**GRADING / (t**GRADING + (1 - t) ** GRADING))
+    return _basis(sides)
+
+
+def stiffness_matrix(basis: Basis, sample: Sample, spacing: Spacing = (1.0, 1.0)) -> sp.csr_array:
+    """Matrix of the form ``int 2 mu eps(u):eps(v) + lambda div(u) div(v)``.
+
+    The volumetric part uses 2 x 2 Gauss points (selective reduced integration), which
+    keeps biquadratic elements free of locking as nu goes to 1/2 (Malkus and Hughes,
+    Comput. Methods Appl. Mech. Eng. 15, 1978).
+    """
+    pixel = np.reshape(spacing, (2, 1, 1))
+
+    @BilinearForm
+    def shear(u: Any, v: Any, w: Any) -> Any:
+        return 2 * lame(sample, w.x / pixel)[1] * ddot(sym_grad(u), sym_grad(v))
+
+    @BilinearForm
+    def volume(u: Any, v: Any, w: Any) -> Any:
+        return lame(sample, w.x / pixel)[0] * div(u) * div(v)
+
+    reduced = Basis(basis.mesh, basis.elem, intorder=3)
+    return shear.assemble(basis) + volume.assemble(reduced)
+
+
+def factorise(A: sp.csr_array, b: Array, ordering: str = "MMD_AT_PLUS_A") -> Array:
+    """Solve a symmetric positive definite sparse system.
+
+    There is no need of pivots off the diagonal, which would fill the factors of graded
+    meshes. An ordering from `_dissect` is ``NATURAL`` here.
+    """
+    options = {"SymmetricMode": True}
+    lu = splu(A.tocsc(), permc_spec=ordering, diag_pivot_thresh=0.0, options=options)
+    return lu.solve(b)
+
+
+def _dissect(lines: NDArray[np.int64], some: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Nested dissection: both halves of a mesh before the line of nodes between them.
+
+    ``lines``, shape (2, n), numbers the lines of nodes that hold each unknown; even ones are
+    sides of cells. The time of a factorisation then grows with the power 3/2 of the unknowns,
+    and it halves that of the minimum degree ordering on a mesh of 256 x 256 cells.
+    """
+    extent = np.ptp(lines[:, some], axis=1)
+    line = lines[int(extent[1] > extent[0]), some]
+    middle = (line.min() + line.max()) // 4 * 2
+    if extent.max() < 6:
+        return [some]
+    return [
+        *_dissect(lines, some[line < middle]),
+        *_dissect(lines, some[line > middle]),
+        some[line == middle],
+    ]
+
+
+def _solve(
+    sample: Sample,
+    motion: dict[Edge, Array],
+    basis: Basis,
+    slip: bool,
+    spacing: Spacing = (1.0, 1.0),
+) -> Array:
+    """What `deform` returns, for elements on any mesh and any materials."""
+    sides = np.reshape(spacing, (2, 1))
+    pixels, nodes = Grid(sample.shape), _components(basis)
+    # The smallest cells are larger than 1e-6 px.
+    x = (basis.doflocs[:, nodes[0]] / sides).round(9)
+    prescribed = basis.zeros()
+    dofs: list[NDArray[np.int64]] = []
+    for edge, g in motion.items():
+        on = np.flatnonzero(FACES[edge].distance(x, pixels) == 0)
+        other = 1 - FACES[edge].component
+        along = x[other, on] / pixels.lengths[other]
+        prescribed[nodes[:, on]] = sides * along_edge(g, along)
+        if slip:
+            middle = on[[np.abs(along - 0.5).argmin()]]
+            dofs += [nodes[1, on], *([nodes[0, middle]] if not dofs else [])]
+        else:
+            dofs += [nodes[0, on], nodes[1, on]]
+    K = stiffness_matrix(basis, sample, spacing)
+    A, b, u, free = condense(K, x=prescribed, D=np.unique(np.concatenate(dofs)))
+    lines = np.stack([np.unique(c.round(9), return_inverse=True)[1] for c in basis.doflocs])
+    order = np.concatenate(_dissect(lines[:, free], np.arange(len(free))))
+    u[free[order]] = factorise(A[order][:, order], b[order], ordering="NATURAL")
+    return _on_pixels(sample.shape, x, u[nodes] / sides)
+
+
+def _missed(u: Array, motion: dict[Edge, Array], slip: bool) -> float:
+    """Largest difference from the motion prescribed at the pixels of edges, px.
+
+    Corners are left out: two edges may tear them apart.
+    """
+
+    def difference(edge: Edge, g: Array) -> Array:
+        found = u[:, *FACES[edge].pixels()]
+        return found - along_edge(g, np.linspace(0, 1, found.shape[1]))
+
+    return max(np.abs(difference(edge, g)[int(slip) :, 1:-1]).max() for edge, g in motion.items())
+
+
+def _basis(sides: Iterable[Array]) -> Basis:
+    return Basis(MeshQuad.init_tensor(*sides), ElementVector(ElementQuad2()), intorder=4)
+
+
+def _components(basis: Basis) -> NDArray[np.int64]:
+    """Degrees of freedom of u1 and of u2, in the same order of their nodes."""
+    kinds = basis.nodal_dofs, basis.facet_dofs, basis.interior_dofs
+    return np.stack([np.concatenate([dofs[i] for dofs in kinds]) for i in (0, 1)])
+
+
+def _on_pixels(shape: tuple[int, int], x: Array, u: Array) -> Array:
+    """Cubic splines through values on a tensor grid of nodes, at the pixel centres."""
+    x1, x2 = (np.unique(c) for c in x)
+    order = np.lexsort(x)
+    rows, columns = (np.arange(n) for n in shape)
+    return np.stack(
+        [RectBivariateSpline(x2, x1, c[order].reshape(len(x2), len(x1)))(rows, columns) for c in u]
+    )

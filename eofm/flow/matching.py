@@ -1,0 +1,163 @@
+"""How well a displacement carries one image onto the other, to first order."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from eofm.flow.functional import Pointwise, data_term
+from eofm.grid import Array, Grid, Mask
+from eofm.imaging.gaussian import blur
+from eofm.imaging.splines import Spline, gradient
+
+# Side of the blocks of pixels that are held out together, and whose residuals are taken to
+# be correlated, px: the size of a bubble and more.
+BLOCK = 8
+# Width of the filter of white noise, and below which there is none, samples.
+WHITE, SHARP = 0.6, 0.2
+# Share of data at a place between pixels that carry data and others.
+LIVE = 0.9
+TINY = np.finfo(np.float64).tiny
+
+
+@dataclass(frozen=True)
+class Match:
+    """Two images linearised about a displacement: ``I2(x + v) - I1 = r + g . (v - u)``.
+
+    Attributes
+    ----------
+    grid : Grid
+    u : ndarray, shape (2, height, width)
+        Where the images are linearised, in the unit of the grid's spacing.
+    g : ndarray, shape (2, height, width)
+    r : ndarray, shape (height, width)
+    used : ndarray of bool, shape (height, width)
+        Pixels that carry data: neither dead nor moved out of the image.
+    """
+
+    grid: Grid
+    u: Array
+    g: Array
+    r: Array
+    used: Mask
+
+    def density(self, about: Array, mask: Mask | None = None) -> Pointwise:
+        """Return the data term of ``v``, where the displacement is ``about + v``, on a mask."""
+        used = self.used if mask is None else self.used & mask
+        return data_term(self.g, self.residual(about), used)
+
+    def residual(self, v: Array) -> Array:
+        """What a displacement leaves of the difference of the images, shape (height, width)."""
+        d = v - self.u
+        return self.r + self.g[0] * d[0] + self.g[1] * d[1]
+
+    def block_misfits(self, v: Array, mask: Mask, block: int = BLOCK) -> Array:
+        """Mean of the squared residual in each block of a mask where pixels are used."""
+        mask = mask & self.used
+        rows, columns = (np.arange(n) // block for n in self.grid.shape)
+        label = (rows[:, None] * (columns[-1] + 1) + columns)[mask]
+        count = np.bincount(label)
+        total = np.bincount(label, self.residual(v)[mask] ** 2)
+        return total[count > 0] / count[count > 0]
+
+    def filtered(self, width: float | None) -> "Match":
+        """Return the same after a Gaussian over the pixels that are used, samples.
+
+        Gradients amplify noise, and where that is white, a width of 0.6 takes a fifth off the
+        error. What is left of decorrelated speckle, or of bubbles that the field does not
+        carry along, has the colour of the images, and a filter takes away more of the
+        signal; without a ``width`` it is 0.6 times the share of white noise. The images
+        themselves are not filtered, for at the edges a filter sees what lies beyond them in
+        one image and not in the other, which would move them.
+        """
+        width = WHITE * self.whiteness if width is None else width
+        if width < SHARP:
+            return self
+        mask = self.used.astype(np.float64)
+        share = np.maximum(blur(mask, width), 1e-6)
+        g1, g2, r = (blur(f * mask, width) / share for f in (*self.g, self.r))
+        return replace(self, g=np.stack([g1, g2]), r=r)
+
+    @cached_property
+    def whiteness(self) -> float:
+        """How white the residual is where there are gradients, from 0 to 1.
+
+        The correlation of neighbours is 0 for white noise, and half for what clean images
+        leave, whose bubbles are as wide as the gradients.
+        """
+        weight = (self.g**2).sum(0) * self.used
+        white = []
+        for near, far in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+            w = np.sqrt(weight[near] * weight[far])
+            r = (w * self.r[near] * self.r[far]).sum() / max((w * self.r[near] ** 2).sum(), TINY)
+            white.append(1 - r)
+        return float(np.clip(2 * np.mean(white) - 1, 0, 1))
+
+    @property
+    def strength(self) -> float:
+        """Mean of the squared gradient, 0 where no pixel carries data."""
+        return float((self.g**2 * self.used).mean())
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of the residual at ``u``, in units of the normalised images."""
+        return float(np.sqrt(np.mean(self.r[self.used] ** 2))) if self.used.any() else 0.0
+
+
+@dataclass(frozen=True)
+class ImagePair:
+    """Two images on a grid.
+
+    Attributes
+    ----------
+    grid : Grid
+    I1, I2 : ndarray, shape (height, width)
+    live : ndarray of bool, shape (height, width)
+        Pixels that carry data, in both images.
+    mean : bool
+        Whether g is the mean of the gradients of I1 and of the warped I2, which is exact to
+        second order and halves the variance of their noise, or the gradient of I1, as in
+        the paper.
+    """
+
+    grid: Grid
+    I1: Array
+    I2: Array
+    live: Mask
+    mean: bool
+
+    def linearise(self, u: Array) -> Match:
+        """Return the images linearised about a displacement."""
+        samples = u / np.reshape(self.grid.spacing, (2, 1, 1))
+        if self.mean:
+            warped, g, inside = self._spline.warp_with_gradient(samples, self.grid.spacing)
+            g += self._gradient
+            g /= 2
+        else:
+            warped, inside = self._spline.warp(samples)
+            g = self._gradient
+        used = inside & self.live
+        if not self.live.all():
+            used &= Spline(self.live.astype(np.float64)).warp(samples)[0] > LIVE
+        warped -= self.I1
+        return Match(self.grid, u, g, warped, used)
+
+    @cached_property
+    def _spline(self) -> Spline:
+        return Spline(self.I2)
+
+    @cached_property
+    def _gradient(self) -> Array:
+        return gradient(self.I1, self.grid.spacing)
+
+
+def held_out(shape: tuple[int, ...], fold: int = 0, block: int = BLOCK) -> Mask:
+    """Mark a quarter of the pixels, in blocks spread evenly; ``fold`` is 0 to 3."""
+    rows, columns = (np.arange(n) // block for n in shape)
+    return (2 * rows[:, None] + columns + (rows[:, None] // 2)) % 4 == fold
+
+
+def random_signs(shape: tuple[int, ...], rng: np.random.Generator) -> Array:
+    """One random sign for each block of pixels, shape (height, width)."""
+    rows, columns = (np.arange(n) // BLOCK for n in shape)
+    return rng.choice([-1.0, 1.0], (rows[-1] + 1, columns[-1] + 1))[rows][:, columns]

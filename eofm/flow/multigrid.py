@@ -1,0 +1,331 @@
+"""Solve ``a(u, v) = b(v)`` without a matrix: conjugate gradients and multigrid.
+
+The preconditioner is one symmetric multigrid cycle. What makes it converge in a number of
+iterations that depends neither on the size nor on the image:
+
+- Coarse grids share the corners of the finest one, and only directions whose spacing is
+  small are coarsened, until both spacings are alike: then pointwise smoothing suffices.
+- The smoothness term is discretised anew on each grid, but the pointwise term is the
+  Galerkin product of bilinear interpolation. An average of the 2 x 2 matrices instead would
+  forbid a sharp bubble to turn or to be strained, and cost 3 times the iterations; where the
+  smoothness term is so large that it forbids that itself, the average is as good and faster.
+  Not so inside of the image beside pixels where ``v = 0``, which are as stiff as need be.
+- Pixels where ``v = 0`` are stiff pixels of the pointwise term on all but the finest grid.
+- The smoother is the Chebyshev iteration of the fourth kind of Lottes, Numer. Linear
+  Algebra Appl. 30 (2023) e2518, which needs an upper bound of the spectrum only. It is a
+  polynomial in D^-1 K, hence symmetric, and a product of matrices for each step.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve_banded, cholesky_banded
+
+from eofm.errors import InputError
+from eofm.flow import stencils
+from eofm.flow.functional import Quadratic
+
+Array = NDArray[np.float64]
+
+# Rows and columns below which there is no coarser grid.
+COARSEST = 6
+# Largest pointwise term, over the smoothness term, for which its average does on coarse grids.
+AVERAGE = {"gradient": 1.0, "bending": 0.02}
+# The same, for which few steps of the smoother do.
+CONTRAST = 50.0
+# The same, below which single precision does for the preconditioner: in D^-1 it costs so much
+# of its 2^24. Bending needs double precision anyway, since motions across a whole image are
+# (its side)^4 times softer than those from pixel to pixel.
+SINGLE = 1e4
+# Relative energy of motions without smoothness energy that is zero up to rounding.
+SINGULAR = 1e-13
+# Ratio of spacings below which a direction is coarsened together with the other.
+ALIKE = math.sqrt(2) + 1e-6
+# Steps of the smoother below and above this contrast, and coarse corrections per cycle.
+# The fourth order needs more of each; between sharp bubbles it is stiff on small scales.
+CYCLE = {"gradient": (2, 4, 1), "bending": (3, 12, 2)}
+
+
+class NotConverged(InputError):  # noqa: N818 - says it all
+    """The residual is still too large after the last iteration."""
+
+
+def multigrid(
+    F: Quadratic,
+    *,
+    tol: float = 1e-8,
+    change: float = 0.0,
+    max_iterations: int = 100,
+    initial: Array | None = None,
+    report: Callable[[int, float], None] | None = None,
+) -> Array:
+    """Minimiser of F, shape (2, height, width), to a relative residual or a change.
+
+    Parameters
+    ----------
+    F : Quadratic
+        With at least 2 pixels in each direction.
+    tol : float
+        Bound on ``|b - K v| / |b|`` in the Euclidean norm of the free values.
+    change : float
+        Stop as well after an iteration that changes v by no more than this, root mean square,
+        px: about a tenth of that is left.
+    max_iterations : int
+        Of the conjugate gradients.
+    initial : ndarray, shape (2, height, width), optional
+        Where to start, px, if its residual is smaller than that of 0.
+    report : callable, optional
+        Called with the number of iterations done and the relative residual, from 0 on.
+
+    Raises
+    ------
+    InputError
+        If F has no unique minimiser (up to rounding).
+    NotConverged
+        If ``max_iterations`` reach neither ``tol`` nor ``change``.
+    """
+    top, operator = hierarchy(F), finest(F)
+    w1, w2 = F.grid.weights
+    r = F.terms.b * w1
+    r *= w2[:, None]
+    r *= F.free
+    size = _norm(r)
+    x, p, q = np.zeros_like(top.x, np.float64), np.zeros_like(top.x, np.float64), np.empty_like(r)
+    if size == 0:
+        return _inner(x)
+    if initial is not None:
+        np.multiply(initial, F.free, out=_inner(x))
+        stencils.product(q, x, *operator)
+        np.subtract(r, q, out=q)
+        if _norm(q) < size:
+            r[...] = q
+        else:
+            x.fill(0.0)
+        del initial  # maybe nobody else's
+    b = r.astype(top.x.dtype, copy=False)
+    residual, zr, changed = _norm(r) / size, math.inf, math.inf
+    for iteration in range(max_iterations + 1):
+        if report is not None:
+            report(iteration, residual)
+        if residual <= tol or changed <= change:
+            return _inner(x)
+        if iteration == max_iterations:
+            break
+        z = top.correct(b)
+        before, zr = zr, stencils.dot(z, r).sum()
+        stencils.redirect(p, z, zr / before)
+        pq = stencils.product(q, p, *operator).sum()
+        squares = stencils.advance(x, r, b, p, q, zr / pq).sum(axis=1)
+        residual, changed = math.sqrt(squares[0]) / size, math.sqrt(squares[1] / F.free.size)
+    raise NotConverged(
+        f"multigrid: relative residual {residual:.1e} instead of {tol:.1e}, last change"
+        f" {changed:.1e} px instead of {change:.1e}, after {max_iterations} iterations"
+    )
+
+
+def _norm(r: Array) -> float:
+    # Without BLAS, whose sums depend on the number of threads.
+    return math.sqrt(np.einsum("cij,cij->", r, r))
+
+
+def _inner(u: Array) -> Array:
+    """The values of a field without its border of zeros."""
+    return u[:, 2:-2, 2:-2]
+
+
+@dataclass
+class Level:
+    """One grid, the operator K on it (see :mod:`eofm.flow.stencils`) and how to correct by it.
+
+    Attributes
+    ----------
+    operator : tuple
+        ``A, G, free, X1, X2, bending``.
+    degree, visits : int
+        Steps of the smoother; corrections per correction of the finer grid.
+    x, y : ndarray, shape (2, n + 4, m + 4)
+        Fields, the present and the last iterate.
+    b : ndarray, shape (2, nc, mc)
+        Right-hand side of the coarse grid.
+    transfer : tuple
+        ``J1, t1, J2, t2`` of :func:`eofm.flow.stencils.prolong`.
+    coarse : Level or Coarsest
+    """
+
+    operator: tuple[Any, ...]
+    degree: int
+    visits: int
+    transfer: tuple[Any, ...]
+    coarse: "Level | Coarsest"
+
+    def __post_init__(self) -> None:
+        n, m = self.operator[2].shape
+        precision = self.operator[0].dtype
+        self.x, self.y = np.zeros((2, 2, n + 4, m + 4), precision)
+        self.b = np.empty((2, *(s - 4 for s in self.coarse.x.shape[1:])), precision)
+
+    def correct(self, b: Array, visits: int = 1) -> Array:
+        """Field close to K^-1 b: linear, symmetric and positive definite in b."""
+        for visit in range(visits):
+            self._smooth(b, visit == 0)
+            stencils.restrict(self.b, b, self.x, *(*self.transfer, *self.operator))
+            e = self.coarse.correct(self.b, self.visits)
+            stencils.prolong(self.x, e, self.operator[2], *self.transfer)
+            self._smooth(b, False)
+        return self.x
+
+    def _smooth(self, b: Array, from_zero: bool) -> None:
+        number = b.dtype.type
+        for k in range(1, self.degree + 1):
+            c1, c2 = number(max(0.0, (2 * k - 3) / (2 * k + 1))), number((8 * k - 4) / (2 * k + 1))
+            first = from_zero and k == 1
+            stencils.chebyshev(self.y, self.x, b, c1, c2, first, *self.operator)
+            self.x, self.y = self.y, self.x
+
+
+class Coarsest:
+    """The coarsest grid and the Cholesky factor of K on it, a band matrix.
+
+    Unknowns are ordered by the longer side of the grid, then the shorter one, then the
+    component. The columns of K come from its products with combs, fields that are 1 on nodes
+    so far apart that the stencils around them are disjoint.
+    """
+
+    def __init__(self, operator: tuple[Any, ...], precision: type = np.float64) -> None:
+        free = operator[2]
+        n, m = free.shape
+        self.axes = (1, 2, 0) if n >= m else (2, 1, 0)
+        number = np.empty((2, n, m), dtype=np.intp)
+        ordered = number.transpose(self.axes)
+        ordered[...] = np.arange(number.size).reshape(ordered.shape)
+        self.x = np.zeros((2, n + 4, m + 4), precision)
+        comb, q = np.empty((2, n + 4, m + 4)), np.empty((2, n, m))
+        reach = 2 if operator[-1] else 1
+        step = 2 * reach + 1
+        band = np.zeros((2 * reach * (min(n, m) + 1) + 2, 2 * n * m))
+        i, j = np.ogrid[:n, :m]
+        for c, k, l in np.ndindex(2, step, step):
+            comb.fill(0.0)
+            _inner(comb)[c, k::step, l::step] = free[k::step, l::step]
+            stencils.product(q, comb, *operator)
+            tooth_i = i + (k - i + reach) % step - reach
+            tooth_j = j + (l - j + reach) % step - reach
+            inside = (tooth_i >= 0) & (tooth_i < n) & (tooth_j >= 0) & (tooth_j < m)
+            column = number[c, tooth_i.clip(0, n - 1), tooth_j.clip(0, m - 1)]
+            lower = inside & (number >= column)
+            column = np.broadcast_to(column, number.shape)[lower]
+            band[number[lower] - column, column] = q[lower]
+        band[0, number[:, ~free]] = 1.0
+        self.factor = cholesky_banded(band, lower=True, check_finite=False)
+
+    def correct(self, b: Array, visits: int = 1) -> Array:
+        """Field K^-1 b."""
+        order = b.transpose(self.axes)
+        solution = cho_solve_banded((self.factor, True), order.ravel(), check_finite=False)
+        _inner(self.x).transpose(self.axes)[...] = solution.reshape(order.shape)
+        return self.x
+
+
+def hierarchy(F: Quadratic) -> Level | Coarsest:
+    """The finest grid, linked to the coarser ones."""
+    operator = A, _, free, X1, X2, bending = finest(F)
+    # The diagonal of alpha R per area, inside of the image.
+    i, j = free.shape[0] // 2, free.shape[1] // 2
+    (m1, s1, t1), (m2, s2, t2) = X1[[0, 3, 7], j], X2[[0, 3, 7], i]
+    stiffness = s1 / m1 + s2 / m2 + t1 * t2 / (m1 * m2)
+    degree, high_degree, visits = CYCLE[F.smoothness]
+    contrast = np.max(A[0] + A[2], where=free, initial=0.0) / stiffness
+    if contrast > CONTRAST:
+        degree = high_degree
+    energies = np.linalg.eigvalsh(_rigid_energy(F, stiffness))
+    if not energies[0] > SINGULAR * max(energies[-1], stiffness * m1 * m2):
+        raise InputError(
+            "the functional has no unique minimiser: images, bubbles and edges leave a motion"
+            " undetermined; give a bubble or an edge, or a smaller mask"
+        )
+    precision = np.float64 if bending or contrast > SINGLE else np.float32
+    average = contrast <= AVERAGE[F.smoothness] and F.free[1:-1, 1:-1].all()
+    couplings = 0 if average else 12
+
+    levels = []
+    h1, h2 = map(float, F.grid.spacing)
+    while True:
+        n, m = operator[2].shape
+        nc = n // 2 + 1 if h2 < ALIKE * h1 else n
+        mc = m // 2 + 1 if h1 < ALIKE * h2 else m
+        if min(nc, mc) < COARSEST:
+            break
+        transfer = (*_between(m, mc), *_between(n, nc))
+        A, G = np.empty((3, nc, mc)), np.empty((couplings, nc, mc))
+        stencils.coarsen(A, G, *(*operator[:-1], *transfer))
+        h1, h2 = h1 * (m - 1) / (mc - 1), h2 * (n - 1) / (nc - 1)
+        X1, X2 = _tables((nc, mc), (h1, h2), F.alpha, bending)
+        A /= X1[0]
+        A /= X2[0, :, None]
+        levels.append((_rounded(operator, precision), _rounded(transfer, precision)))
+        operator = A, G, np.ones((nc, mc), dtype=np.bool_), X1, X2, bending
+    top: Level | Coarsest = Coarsest(operator, precision)
+    for operator, transfer in reversed(levels):
+        top = Level(operator, degree, visits, transfer, top)
+    return top
+
+
+def _rounded(values: tuple[Any, ...], precision: type) -> tuple[Any, ...]:
+    """The same values, real numbers rounded to a precision."""
+    return tuple(
+        v.astype(precision, copy=False) if getattr(v, "dtype", None) == np.float64 else v
+        for v in values
+    )
+
+
+def finest(F: Quadratic) -> tuple[Any, ...]:
+    """The operator K of a functional, see :mod:`eofm.flow.stencils`."""
+    bending = F.smoothness == "bending"
+    tables = _tables(F.grid.shape, F.grid.spacing, F.alpha, bending)
+    A, free = np.ascontiguousarray(F.terms.A), np.ascontiguousarray(F.free)
+    return A, np.empty((0, *F.grid.shape)), free, *tables, bending
+
+
+def _rigid_energy(F: Quadratic, stiffness: float) -> Array:
+    """Pointwise energy of the motions without smoothness energy, a matrix.
+
+    These are the constants (order 2) or, for bending, the linear functions (order 6). Pixels
+    that are not free have a stiffness.
+    """
+    n, m = F.grid.shape
+    w1, w2 = F.grid.weights
+    x, y = np.linspace(-1, 1, m), np.linspace(-1, 1, n)
+    phi1, phi2 = (np.array([1 + 0 * x, x, 1 + 0 * x]), np.array([1 + 0 * y, 1 + 0 * y, y]))
+    k, l = np.indices((3, 3) if F.smoothness == "bending" else (1, 1))
+    products1, products2 = w1 * phi1[k] * phi1[l], w2 * phi2[k] * phi2[l]
+
+    def energy(A: NDArray[Any]) -> Array:
+        return np.einsum("ikl,kli->kl", np.tensordot(A, products1, (1, 2)), products2)
+
+    E11, E12, E22 = map(energy, F.terms.A)
+    if not F.free.all():
+        fixed = stiffness * energy(~F.free)
+        E11, E22 = E11 + fixed, E22 + fixed
+    return np.block([[E11, E12], [E12, E22]])
+
+
+def _tables(
+    shape: tuple[int, int], spacing: tuple[float, float], alpha: float, bending: bool
+) -> tuple[Array, Array]:
+    """The tables X1 and X2 of a grid."""
+    X1, X2 = (
+        stencils.axis_table(n, float(h), alpha, bending)
+        for n, h in zip(shape[::-1], spacing, strict=True)
+    )
+    return X1, X2
+
+
+def _between(n: int, nc: int) -> tuple[NDArray[np.intp], Array]:
+    """Where n nodes lie among nc nodes that share the ends: J, t of stencils.prolong."""
+    position = np.arange(n) * (nc - 1) / (n - 1)
+    J = np.minimum(position.astype(np.intp), nc - 2)
+    return J, position - J

@@ -1,0 +1,145 @@
+"""The weight of the bending energy, chosen by the images alone.
+
+Blocks of pixels are held out, and the field that the other pixels give has to carry the
+second image onto the first in those blocks. That needs neither the noise level nor the
+truth, and works for few bubbles on black, where most residuals come from the model, as
+for dense speckle, where they are noise.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
+
+from eofm.flow.functional import Pointwise, Quadratic
+from eofm.flow.matching import BLOCK, Match, held_out
+from eofm.flow.multigrid import multigrid
+from eofm.grid import Array, Grid
+
+# Samples over which the first weight smooths.
+REACH = 8.0
+# Ratio of two weights that are compared: the minimum is flat; and how far they go from the
+# first, in such steps.
+STEP, FARTHEST = 3.0, 6
+# Fewer blocks than these do not tell weights apart.
+BLOCKS = 20
+# Pixels around a held-out block that are not used either: the noise of images that were
+# filtered is correlated, and would be fitted on both sides of the border.
+MARGIN = 2
+# Side of the windows that stand for a large image, px.
+WINDOW = 192
+# Change of v by the last iteration of a trial solve, px.
+ACCURACY = 1e-2
+# Part of the image's mean data term that is added to all: a window may be black.
+RIDGE = 1e-9
+
+
+def first_alpha(match: Match) -> float:
+    """Weight of the coarse scales, and the first one tried.
+
+    It holds a structure of the ``REACH`` as firmly as the mean gradient of the images does.
+    """
+    reach = REACH * float(np.sqrt(np.prod(match.grid.spacing)))
+    return (match.strength + np.finfo(float).tiny) * reach**4
+
+
+def enough(shape: tuple[int, ...]) -> bool:
+    """Whether an image has blocks enough to choose a weight."""
+    return shape[0] * shape[1] >= BLOCKS * BLOCK**2
+
+
+def choose_alpha(
+    match: Match,
+    about: Array,
+    prescribed: Array,
+    free: NDArray[np.bool_],
+    start: float,
+) -> float:
+    """Weight of the bending energy with the least misfit on held-out blocks.
+
+    Goes downhill from ``start`` in factors of 3, then to the vertex of the parabola through
+    the three best in log alpha: four or five solves for each of two quarters that are held
+    out. Of large images, one quarter of some windows does, so that this takes the same time
+    for all.
+
+    Parameters
+    ----------
+    match : Match
+    about, prescribed : ndarray, shape (2, height, width)
+        The displacement is ``about + v``, with ``v`` that of ``prescribed`` where not free.
+    free : ndarray of bool, shape (height, width)
+    start : float
+        First weight tried.
+    """
+    windows = _windows(match.grid.shape)
+    ridge = RIDGE * match.strength
+    trials = [
+        _Trial(_cut(match, w), about[:, *w], prescribed[:, *w], free[w], fold, ridge)
+        for w in windows
+        for fold in ((0, 2) if len(windows) == 1 else (0,))
+    ]
+    misfits: dict[int, float] = {}
+
+    def misfit(k: int) -> float:
+        if k not in misfits:
+            near = abs(k) <= FARTHEST
+            misfits[k] = sum(t.misfit(start * STEP**k) for t in trials) if near else np.inf
+        return misfits[k]
+
+    k = 0
+    while (better := min((k - 1, k + 1), key=misfit)) and misfit(better) < misfit(k):
+        k = better
+    left, middle, right = (misfit(j) for j in (k - 1, k, k + 1))
+    curvature = left - 2 * middle + right
+    shift = 0.5 * (left - right) / curvature if 0 < curvature < np.inf else 0.0
+    return float(start * STEP ** (k + shift))
+
+
+class _Trial:
+    """One fold of one window; each solve starts from the one before."""
+
+    def __init__(
+        self,
+        match: Match,
+        about: Array,
+        prescribed: Array,
+        free: NDArray[np.bool_],
+        fold: int,
+        ridge: float,
+    ) -> None:
+        self.match, self.about, self.free = match, about, free
+        out = held_out(match.grid.shape, fold)
+        self.out = out & match.used
+        terms = match.density(about, ~binary_dilation(out, np.ones((3, 3)), MARGIN))
+        self.terms = Pointwise(terms.A + ridge * np.reshape([1, 0, 1], (3, 1, 1)), terms.b)
+        self.prescribed, self.v = prescribed, np.zeros_like(about)
+
+    def misfit(self, alpha: float) -> float:
+        """Sum of the squared residual on the pixels that are held out."""
+        F = Quadratic(self.match.grid, self.terms, alpha, self.free, "bending")
+        self.v = multigrid(F.shifted(self.prescribed), change=ACCURACY, initial=self.v)
+        r = self.match.residual(self.about + self.prescribed + self.v)
+        return float(np.sum(r[self.out] ** 2))
+
+
+def _windows(shape: tuple[int, int]) -> list[tuple[slice, slice]]:
+    """The image or, where it is large, windows in the middles of opposite quarters or halves."""
+
+    def cuts(n: int) -> list[slice]:
+        if n <= 2 * WINDOW:
+            return [slice(0, n)]
+        return [slice(c - WINDOW // 2, c + WINDOW // 2) for c in (n // 4, 3 * n // 4)]
+
+    rows, columns = cuts(shape[0]), cuts(shape[1])
+    count = max(len(rows), len(columns))
+    return [(rows[k % len(rows)], columns[k % len(columns)]) for k in range(count)]
+
+
+def _cut(match: Match, window: tuple[slice, slice]) -> Match:
+    rows, columns = window
+    grid = Grid(
+        (rows.stop - rows.start, columns.stop - columns.start),
+        match.grid.spacing,
+    )
+    return Match(
+        grid, match.u[:, *window], match.g[:, *window], match.r[window], match.used[window]
+    )

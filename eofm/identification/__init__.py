@@ -1,0 +1,1 @@
+"""Stiffness from images, and its error bars."""

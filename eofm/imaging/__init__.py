@@ -1,0 +1,1 @@
+"""Images as functions: splines, averages, grey scales, and the bubbles in them."""

@@ -1,0 +1,238 @@
+"""Speckle tracking: detect large speckle formations (bubbles) and follow them.
+
+The paper's tracker is published elsewhere; this one takes the same road. Bubbles are
+the connected components of the smoothed image above a threshold, split between the
+peaks of touching ones; they are matched one to one by distance, size and brightness,
+and each motion is refined by registering the image in a window around the bubble, so
+that bubbles which overlap or change shape are followed by what moves, not by their outline.
+"""
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy import ndimage, sparse
+from scipy.sparse.csgraph import connected_components, min_weight_full_bipartite_matching
+from scipy.spatial import KDTree
+from skimage.morphology import local_maxima
+from skimage.segmentation import watershed
+
+from eofm.errors import InputError
+from eofm.grid import Array, inside
+from eofm.imaging.gaussian import blur
+from eofm.imaging.intensity import normalise
+from eofm.imaging.splines import Spline, evaluate_field, gradient
+from eofm.settings import Tracking
+
+# Deviations below this many px are not held against a bubble by its neighbours
+# (Westerweel and Scarano, Exp. Fluids 39, 2005, with a value for bubbles).
+AGREEMENT_FLOOR = 0.15
+
+# The cost of leaving a bubble unmatched, in units where the gate's distance costs 1.
+UNMATCHED = 1.0
+
+# Bubbles that are assigned at once (the time of an assignment grows with their square), and
+# samples of windows that are registered at once (their memory).
+ASSIGNED = 500
+SAMPLES = 2**17
+
+
+def track(
+    I1: Array,
+    I2: Array,
+    settings: Tracking = Tracking(),
+    *,
+    prediction: Array | None = None,
+) -> pd.DataFrame:
+    """Motion of the bubbles between two images.
+
+    Parameters
+    ----------
+    I1, I2 : ndarray, shape (height, width)
+        Images before and after compression.
+    settings : Tracking
+        What is a bubble, and what is a match.
+    prediction : ndarray, shape (2, height, width), optional
+        A displacement that is about right, px, such as the background field; without
+        it bubbles are sought where they were.
+
+    Returns
+    -------
+    DataFrame
+        One row per bubble: ``x1``, ``x2`` (centre of mass before compression) and ``u1``,
+        ``u2`` (displacement), px; ``area``, px^2; ``brightness``, peak above the threshold
+        with both images in [0, 1]; ``quality``, correlation of the two windows, at most 1.
+
+    Raises
+    ------
+    InputError
+        If an image is constant, no bubble is found, or none can be followed.
+    """
+    I1, I2 = normalise(I1, I2)
+    before, after = detect(I1, settings), detect(I2, settings)
+    for name, found in (("before", before), ("after", after)):
+        if found.empty:
+            raise InputError(
+                f"no bubble found in the image {name} compression; lower the threshold"
+                f" ({settings.threshold:g}) or the least area ({settings.min_area} px^2)"
+            )
+    x, y = (bubbles[["x1", "x2"]].to_numpy().T for bubbles in (before, after))
+    expected = np.zeros_like(x) if prediction is None else evaluate_field(prediction, x)
+    i, j = match(before, after, expected, settings.gate)
+    x, expected = x[:, i], expected[:, i]
+    motion, quality = register(I1, I2, x, y[:, j] - x, settings.window)
+    good = (quality >= settings.quality) & (
+        np.hypot(*(motion - expected)) <= settings.gate + settings.window
+    )
+    good[good] = agree(x[:, good], (motion - expected)[:, good], settings)
+    if not good.any():
+        raise InputError(
+            f"none of {len(before)} bubbles could be followed; raise the gate"
+            f" ({settings.gate:g} px), lower the quality ({settings.quality:g}), or give a"
+            " field that predicts the motion"
+        )
+    table = before.iloc[i].assign(u1=motion[0], u2=motion[1], quality=quality)[good]
+    return table[["x1", "x2", "u1", "u2", "area", "brightness", "quality"]].reset_index(drop=True)
+
+
+def detect(I: Array, settings: Tracking = Tracking()) -> pd.DataFrame:
+    """Bubbles of an image: columns x1, x2 (centre of mass), area and brightness.
+
+    The threshold is a part of the range from the 0.5th to the 99.5th percentile.
+    Bubbles that are cut by the image's edge count like any other.
+    """
+    smooth = blur(I, settings.smoothing)
+    low, high = np.percentile(smooth, [0.5, 99.5])
+    level = low + settings.threshold * (high - low)
+    # Plateaus, as of saturated bubbles, count as one peak each.
+    peaks, _ = ndimage.label(local_maxima(smooth) & (smooth > level), np.ones((3, 3)))
+    regions = watershed(-smooth, peaks, mask=smooth > level)
+    seen = regions > 0
+    label, height = regions[seen] - 1, (smooth - level)[seen]
+    area, total = np.bincount(label).astype(float), np.bincount(label, height)
+    # A bubble of one row or column at the border must not be rounded out of the image.
+    x2, x1 = (
+        np.minimum(np.bincount(label, height * x) / total, n - 1)
+        for x, n in zip(np.nonzero(seen), I.shape, strict=True)
+    )
+    brightness = np.zeros(len(area))
+    np.maximum.at(brightness, label, height)
+    table = pd.DataFrame({"x2": x2, "x1": x1, "area": area, "brightness": brightness})
+    kept = table.area.between(settings.min_area, settings.max_area)
+    return table[kept].reset_index(drop=True)
+
+
+def match(
+    before: pd.DataFrame, after: pd.DataFrame, expected: Array, gate: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """One-to-one matches of least total cost: rows of ``before`` and of ``after``.
+
+    A match costs the squared distance from the ``expected`` displacement, shape (2, M),
+    in units of the gate, plus the logarithmic differences in brightness and area; a
+    bubble may stay without one (linear assignment, each bubble having a partner of its
+    own that stands for none).
+    """
+    target = before[["x1", "x2"]].to_numpy() + expected.T
+    near = KDTree(target).sparse_distance_matrix(
+        KDTree(after[["x1", "x2"]].to_numpy()), gate, output_type="coo_matrix"
+    )
+    i, j = near.row, near.col
+    change = [
+        np.abs(np.log(before[name].to_numpy()[i] / after[name].to_numpy()[j]))
+        for name in ("brightness", "area")
+    ]
+    cost = (near.data / gate) ** 2 + 0.5 * change[0] + 0.25 * change[1]
+    alone = np.arange(len(before))
+    # Explicit zeros would be dropped from the sparse matrix, so every cost is raised alike.
+    graph = sparse.csr_array(
+        (
+            1 + np.concatenate([cost, np.full(len(alone), UNMATCHED)]),
+            (np.concatenate([i, alone]), np.concatenate([j, len(after) + alone])),
+        ),
+        shape=(len(before), len(after) + len(alone)),
+    )
+    # Clusters of bubbles that share no candidates are assigned apart.
+    size = len(before) + len(after)
+    links = sparse.coo_array((np.ones(len(i)), (i, len(before) + j)), shape=(size, size))
+    cluster = connected_components(links, directed=False)[1][: len(before)]
+    order = np.argsort(cluster, kind="stable")
+    batch = np.searchsorted(cluster[order], cluster[order]) // ASSIGNED
+    batches = np.split(order, np.flatnonzero(np.diff(batch)) + 1)
+    rows, columns = np.concatenate([_assign(graph, some) for some in batches], axis=1)
+    columns = columns[np.argsort(rows)]
+    matched = columns < len(after)
+    return alone[matched], columns[matched]
+
+
+def register(
+    I1: Array, I2: Array, x: Array, motion: Array, window: float, iterations: int = 10
+) -> tuple[Array, Array]:
+    """Motion of Gaussian windows by Gauss-Newton, and how well they correlate.
+
+    Minimises ``int w(y - x) |I2(y + d) - I1(y)|^2 dy`` over ``d`` for each bubble at x, with
+    w of standard deviation ``window`` px, started from ``motion`` of shape (2, M).
+
+    Returns
+    -------
+    motion : ndarray, shape (2, M)
+        In px.
+    quality : ndarray, shape (M,)
+        Weighted correlation coefficient of the two windows.
+    """
+    reach = int(np.ceil(3 * window))
+    offsets = np.mgrid[-reach : reach + 1, -reach : reach + 1][::-1].reshape(2, 1, -1)
+    at_once = max(1, SAMPLES // offsets[0].size)
+    splines = [Spline(I) for I in (I1, I2, *gradient(I2))]
+    motion, quality = motion.copy(), np.empty(x.shape[1])
+    for start in range(0, x.shape[1], at_once):
+        some = np.s_[start : start + at_once]
+        y = x[:, some, None] + offsets
+        weight = np.exp(-(offsets**2).sum(0) / (2 * window**2)) * inside(I1.shape, y)
+        reference = splines[0].evaluate(y)
+        for _ in range(iterations):
+            moved = y + motion[:, some, None]
+            w = weight * inside(I2.shape, moved)
+            difference = splines[1].evaluate(moved) - reference
+            g = np.stack([c.evaluate(moved) for c in splines[2:]])
+            A = np.einsum("ikp,jkp,kp->kij", g, g, w)
+            # Windows with one direction of contrast only stay where they are in the other.
+            A += (1e-3 * np.trace(A, axis1=1, axis2=2) + 1e-12)[:, None, None] * np.eye(2)
+            step = -np.linalg.solve(A, np.einsum("ikp,kp->ki", g, w * difference)[..., None])
+            motion[:, some] += np.clip(step[..., 0].T, -0.5, 0.5)
+        moved = y + motion[:, some, None]
+        w = weight * inside(I2.shape, moved)
+        quality[some] = _correlation(reference, splines[1].evaluate(moved), w)
+    return motion, quality
+
+
+def agree(x: Array, motion: Array, settings: Tracking) -> NDArray[np.bool_]:
+    """Which motions agree with their neighbours' (normalised median test).
+
+    Westerweel and Scarano, Exp. Fluids 39, 2005: the deviation from the median of the
+    neighbours, over the median of their own deviations.
+    """
+    if x.shape[1] <= settings.neighbours:
+        return np.ones(x.shape[1], dtype=bool)
+    nearest = KDTree(x.T).query(x.T, k=settings.neighbours + 1)[1][:, 1:]
+    others = motion[:, nearest]
+    median = np.median(others, axis=2)
+    spread = np.median(np.abs(others - median[..., None]), axis=2)
+    deviation = np.abs(motion - median) / (spread + AGREEMENT_FLOOR)
+    return deviation.max(0) <= settings.tolerance
+
+
+def _assign(
+    graph: sparse.csr_array, rows: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Columns of least total cost for some rows of a sparse matrix of costs."""
+    part = graph[rows]
+    columns, index = np.unique(part.indices, return_inverse=True)
+    part = sparse.csr_array((part.data, index, part.indptr), shape=(len(rows), len(columns)))
+    i, j = min_weight_full_bipartite_matching(part)
+    return rows[i], columns[j]
+
+
+def _correlation(p: Array, q: Array, w: Array) -> Array:
+    total = np.maximum(w.sum(1, keepdims=True), 1e-12)
+    p, q = (f - (w * f).sum(1, keepdims=True) / total for f in (p, q))
+    norms = np.sqrt((w * p**2).sum(1) * (w * q**2).sum(1))
+    return (w * p * q).sum(1) / np.maximum(norms, 1e-12)

@@ -1,0 +1,73 @@
+"""Averages under Gaussians, and sums of them."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from eofm.grid import Array
+from eofm.imaging import kernels
+
+
+def blur(I: Array, width: float | tuple[float, float]) -> Array:
+    """Gaussian average of an image that goes on as in a mirror.
+
+    Parameters
+    ----------
+    I : ndarray, shape (height, width)
+    width : float or (lateral, axial)
+        Standard deviation, samples.
+    """
+    terms = []
+    for n, std in zip(I.shape, np.broadcast_to(width, 2)[::-1], strict=True):
+        offsets, gauss = taps(std)
+        at, _ = mirrored(np.arange(n)[:, None] + offsets, n)
+        terms.append((at, np.tile(gauss, (n, 1))))
+    (at2, w2), (at1, w1) = terms
+    J = np.empty(I.shape)
+    kernels.resample(J, np.ascontiguousarray(I, dtype=np.float64), at1, w1, at2, w2)
+    return J
+
+
+def gaussians(axes: Sequence[Array], centres: Array, sigma: ArrayLike, weights: Array) -> Array:
+    """Weighted sums of Gaussians of height 1, cut off at 6 sigma.
+
+    Parameters
+    ----------
+    axes : sequence of ndarray, shape (width,) and (height,)
+        Ascending lateral and axial positions of the samples.
+    centres : ndarray, shape (2, M)
+    sigma : float or ndarray, shape (M,)
+        Standard deviations.
+    weights : ndarray, shape (k, M)
+        The weights of k sums over the same Gaussians.
+
+    Returns
+    -------
+    ndarray, shape (k, height, width)
+    """
+    total = np.zeros((len(weights), *(len(x) for x in axes[::-1])))
+    sigma = np.array(np.broadcast_to(sigma, centres.shape[1:]), dtype=np.float64)
+    columns, rows = (
+        np.searchsorted(x, [c - 6 * sigma, c + 6 * sigma])
+        for x, c in zip(axes, centres, strict=True)
+    )
+    x1, x2, centres, weights = (
+        np.ascontiguousarray(a, dtype=np.float64) for a in (*axes, centres, weights)
+    )
+    kernels.add_gaussians(total, x1, x2, centres, sigma, weights, columns, rows)
+    return total
+
+
+def taps(width: float) -> tuple[NDArray[np.intp], Array]:
+    """Offsets of samples and their weights in a Gaussian average, cut off at 4 widths."""
+    radius = int(4 * width + 0.5)
+    offsets = np.arange(-radius, radius + 1)
+    gauss = np.exp(-0.5 * (offsets / max(width, 1e-9)) ** 2)
+    return offsets, gauss / gauss.sum()
+
+
+def mirrored(k: NDArray[np.intp], n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """The samples, of n, that stand at indices k in a mirrored image, and in which copy of it."""
+    copies, at = np.divmod(k, max(n - 1, 1))
+    return np.where(copies % 2, n - 1 - at, at), copies

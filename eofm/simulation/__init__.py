@@ -1,0 +1,1 @@
+"""Samples whose truth is known: phantoms and a virtual OCT."""

@@ -1,0 +1,96 @@
+"""The simulated sample: bubbles at random places and their scattering images.
+
+The image after compression is rendered from moved bubbles, never interpolated from the
+image before: that would be an inverse crime.
+"""
+
+import math
+from collections import defaultdict
+from itertools import product
+
+import numpy as np
+import pandas as pd
+
+from eofm.errors import InputError
+from eofm.grid import Array
+from eofm.imaging.gaussian import gaussians
+from eofm.imaging.splines import evaluate_field
+from eofm.settings import Phantom
+
+# Attempts per bubble before a distance is called impossible.
+ATTEMPTS = 1000
+
+
+def make_phantom(u: Array, settings: Phantom = Phantom()) -> tuple[Array, Array, pd.DataFrame]:
+    """Images of a sample before and after a displacement, and its bubbles.
+
+    Parameters
+    ----------
+    u : ndarray, shape (2, height, width)
+        The true displacement, px.
+    settings : Phantom
+        Number, size, brightness and distance of the bubbles, noise and seed.
+
+    Returns
+    -------
+    I1, I2 : ndarray, shape (height, width)
+        Images before and after compression.
+    bubbles : DataFrame
+        Columns x1, x2 (centres before), u1, u2 (displacements), sigma, all in px, and
+        brightness.
+
+    Raises
+    ------
+    InputError
+        If the bubbles do not fit into the sample at the distance wanted.
+    """
+    shape = u.shape[1:]
+    place, look, noise = (np.random.default_rng([settings.seed, k]) for k in range(3))
+    x = scatter(shape, settings.count, settings.distance, place)
+    motion = evaluate_field(u, x)
+    sigma = look.uniform(*settings.sigma, settings.count)
+    brightness = look.uniform(*settings.brightness, settings.count)
+
+    def image(centres: Array) -> Array:
+        x1, x2 = (np.arange(n, dtype=np.float64) for n in shape[::-1])
+        I = settings.base + gaussians((x1, x2), centres, sigma, brightness[None])[0]
+        return I + noise.normal(0, settings.noise * brightness.max(), shape)
+
+    columns = {"x1": x[0], "x2": x[1], "u1": motion[0], "u2": motion[1]}
+    bubbles = pd.DataFrame(columns | {"sigma": sigma, "brightness": brightness})
+    return image(x), image(x + motion), bubbles
+
+
+def scatter(shape: tuple[int, ...], count: int, distance: float, rng: np.random.Generator) -> Array:
+    """Uniformly distributed points at least ``distance`` px apart, shape (2, count).
+
+    Raises
+    ------
+    InputError
+        If there is no room left for a point.
+    """
+    upper = np.array(shape[::-1]) - 1.0
+    points = np.empty((count, 2))
+    # Points by squares as wide as the distance: only those of nine can be too near.
+    side = max(distance, 1.0)
+    squares: defaultdict[tuple[int, int], list[Array]] = defaultdict(list)
+    for i in range(count):
+        for _ in range(ATTEMPTS):
+            points[i] = rng.uniform(0, upper)
+            if distance == 0:
+                break
+            column, row = (int(c) for c in points[i] // side)
+            near = [
+                p
+                for square in product(range(column - 1, column + 2), range(row - 1, row + 2))
+                for p in squares.get(square, ())
+            ]
+            if all(math.dist(points[i], p) >= distance for p in near):
+                squares[column, row].append(points[i])
+                break
+        else:
+            raise InputError(
+                f"found room for only {i} of {count} bubbles {distance:g} px apart in"
+                f" {shape[0]} x {shape[1]} px; lower their number or distance"
+            )
+    return points.T

@@ -1,0 +1,50 @@
+import numpy as np
+from conftest import speckle
+
+from eofm.analysis.quality import data_share, inconsistency, residual
+
+STILL = np.zeros((2, 30, 40))
+
+
+def test_the_true_field_leaves_no_residual(rng):
+    I = speckle((30, 40), rng)
+    np.testing.assert_allclose(residual(I, I, STILL), 0, atol=1e-12)
+    moved = STILL.copy()
+    moved[0] = 3
+    left = residual(I, np.roll(I, 3, axis=1), moved)
+    assert np.isnan(left[:, -3:]).all()
+    np.testing.assert_allclose(left[:, 5:-5], 0, atol=1e-12)
+
+
+def test_a_field_and_its_inverse_are_consistent():
+    there = STILL + [[[2.0]], [[-1.0]]]
+    error = inconsistency(there, -there)
+    assert np.isnan(error[:, -2:]).all()
+    assert np.isnan(error[0]).all()
+    np.testing.assert_allclose(error[1:, :-2], 0, atol=1e-12)
+    np.testing.assert_allclose(inconsistency(STILL, there), np.sqrt(5))
+
+
+def test_data_decides_where_there_is_contrast_in_both_directions(rng):
+    I = np.zeros((60, 90))
+    I[:, :30] = speckle((60, 30), rng)
+    I[:, 60:] = np.tile(np.sin(np.arange(30)), (60, 1))
+    nowhere = np.zeros(I.shape, bool)
+    share = data_share(I, "gradient", 0.05, 5.0, (1.0, 1.0), nowhere)
+    assert share[10:50, 5:20].min() > 0.3
+    assert share[10:50, 45].max() < 0.1
+    # Stripes say nothing of the motion along them.
+    assert share[20:40, 75:80].max() < 0.1
+    dead = nowhere.copy()
+    dead[:, :30] = True
+    assert data_share(I, "gradient", 0.05, 5.0, (1.0, 1.0), dead)[10:50, 5:15].max() < 0.1
+
+
+def test_strains_are_inverted_up_to_the_edges():
+    x2, x1 = np.mgrid[:30, :40].astype(float)
+    there = np.stack([0.05 * (x1 - 20), -0.04 * x2])
+    # What is at y came from x = (y1 + 1) / 1.05, y2 / 0.96.
+    back = np.stack([(x1 + 1) / 1.05 - x1, x2 / 0.96 - x2])
+    error = inconsistency(there, back)
+    assert np.isfinite(error[:, 20])[:-1].all()
+    np.testing.assert_allclose(error[np.isfinite(error)], 0, atol=1e-12)

@@ -1,0 +1,45 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from eofm.analysis.strain import strain
+from eofm.errors import InputError
+
+
+@given(st.integers(8, 40), st.integers(8, 40), st.floats(0.5, 8), st.integers(0, 2**20))
+def test_linear_displacements_are_exact_up_to_the_edges(height, width, window, seed):
+    G = np.random.default_rng(seed).normal(size=(2, 2))
+    x2, x1 = np.mgrid[:height, :width].astype(float)
+    u = np.stack([G[0, 0] * x1 + G[0, 1] * x2, G[1, 0] * x1 + G[1, 1] * x2 + 3])
+    e = strain(u, (1.0, 1.0), window)
+    expected = [G[0, 0], G[1, 1], (G[0, 1] + G[1, 0]) / 2]
+    np.testing.assert_allclose(e.mean((1, 2)), expected, atol=1e-6)
+    assert np.ptp(e, axis=(1, 2)).max() < 1e-5
+
+
+def test_true_lengths_of_pixels_that_are_not_square():
+    x2, x1 = np.mgrid[:30, :50].astype(float)
+    # A shear of 1 % in um on pixels of 4 x 2 um, in px.
+    u = np.stack([0.01 * (2 * x2) / 4, 0 * x1])
+    e = strain(u, (4.0, 2.0), 12.0)
+    np.testing.assert_allclose(e[2], 0.005, atol=1e-9)
+    np.testing.assert_allclose(e[:2], 0, atol=1e-9)
+
+
+def test_noise_is_averaged_as_the_window_grows(rng):
+    u = rng.normal(0, 0.05, (2, 80, 80))
+    spread = [strain(u, (1.0, 1.0), w).std() for w in (1, 2, 4)]
+    # The deviation of a slope under Gaussian weights falls with the square of the width.
+    assert spread[0] / spread[1] == pytest.approx(4, rel=0.3)
+    assert spread[1] / spread[2] == pytest.approx(4, rel=0.3)
+
+
+def test_a_window_below_a_pixel_is_refused():
+    with pytest.raises(InputError, match="strain_window: 1 um is less than half a pixel"):
+        strain(np.zeros((2, 9, 9)), (10.0, 10.0), 1.0)
+
+
+def test_compression_is_negative():
+    x2, _ = np.mgrid[:20, :20].astype(float)
+    assert strain(np.stack([0 * x2, -0.02 * x2]), (5.0, 5.0), 10)[1].max() < -0.0199

@@ -1,0 +1,121 @@
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import speckle
+
+import eofm
+from eofm.grid import inside
+from eofm.imaging.splines import evaluate
+
+EDGES = ("top", "bottom")
+
+
+@pytest.mark.parametrize("shape", [(32, 32), (33, 48), (47, 40)])
+@pytest.mark.parametrize("scales", [1, 3])
+def test_no_motion_gives_zero(shape, scales, rng):
+    I = speckle(shape, rng)
+    bubbles = eofm.track(I, I)
+    u = eofm.estimate_displacement(
+        I, I, eofm.Estimation(method="paper", scales=scales), bubbles=bubbles
+    ).u
+    np.testing.assert_allclose(u, 0, atol=1e-10)
+
+
+def test_known_edges_are_kept_exactly(pair, background):
+    I1, I2, bubbles = pair
+    settings = eofm.Estimation(method="paper", zero_edges=EDGES)
+    u = eofm.estimate_displacement(I1, I2, settings, bubbles=bubbles, background=background).u
+    np.testing.assert_allclose(u[:, [0, -1]], background[:, [0, -1]], atol=1e-12)
+
+
+def test_speckle_and_background_each_bring_the_field_nearer(pair, truth, background):
+    """The paper's point: test 5 beats test 4, test 1 and test 3."""
+    I1, I2, _ = pair
+    bubbles = eofm.track(I1, I2, prediction=background)
+
+    def error(settings, background=None):
+        u = eofm.estimate_displacement(I1, I2, settings, bubbles=bubbles, background=background).u
+        return eofm.relative_errors(u, truth)["e_rel"]
+
+    limits = (0.0, 1.0)
+    test1 = error(eofm.Estimation(method="paper", limits=limits))
+    test3 = error(
+        eofm.Estimation(method="paper", limits=limits, beta=0, zero_edges=EDGES), background
+    )
+    test4 = error(
+        eofm.Estimation(method="paper", limits=limits, scales=1, zero_edges=EDGES), background
+    )
+    test5 = error(eofm.Estimation(method="paper", limits=limits, zero_edges=EDGES), background)
+    assert test5 < min(test1, test3, test4)
+
+
+def test_large_smooth_motion_of_dense_speckle(rng):
+    """Four pixels of motion, far beyond the speckle, found within a few hundredths."""
+    x2, x1 = np.mgrid[:96, :120].astype(float)
+    u = np.stack([0.03 * (x1 - 60), -4 * x2 / 95])
+    big = speckle((140, 160), rng, 2.0)
+    I2 = big[20:116, 20:140]
+    I1 = evaluate(big, np.stack([x1, x2]) + u + 20)
+    found = eofm.estimate_displacement(
+        I1, I2, eofm.Estimation(method="paper", alpha=0.02, scales=4, warps=4)
+    ).u
+    assert np.hypot(*(found - u))[5:-5, 5:-5].mean() < 0.03
+
+
+def test_pixels_that_leave_the_image_do_no_harm(rng):
+    """A sample that bulges out of the frame is followed up to the last pixel still seen."""
+    x2, x1 = np.mgrid[:64, :96].astype(float)
+    big = speckle((104, 136), rng, 2.0)
+    I2 = big[20:84, 20:116]
+    errors = []
+    for sign in (1, -1):
+        u = np.stack([sign * 5 * (x1 - 47.5) / 47.5, 0 * x2])
+        I1 = evaluate(big, np.stack([x1, x2]) + u + 20)
+        found = eofm.estimate_displacement(
+            I1, I2, eofm.Estimation(method="paper", alpha=0.02, scales=4, warps=4)
+        ).u
+        seen = inside(I2.shape, np.stack([x1, x2]) + u)
+        errors.append(np.hypot(*(found - u))[seen].mean())
+    outwards, inwards = errors
+    # Clamping to the border instead gives 0.14.
+    assert outwards < 0.05
+    assert outwards < inwards
+
+
+def test_sizes_must_agree(rng):
+    with pytest.raises(eofm.InputError, match="differ in size"):
+        eofm.estimate_displacement(np.eye(20), np.eye(21))
+    with pytest.raises(eofm.InputError, match="differ in size"):
+        eofm.estimate_displacement(np.eye(20), np.eye(20), background=np.zeros((2, 20, 21)))
+
+
+@pytest.mark.parametrize("row", [(200, 5, 0, 0), (5, 5, 1e9, 0), (-1, 5, 0, 0)])
+def test_bubbles_of_another_image_are_refused(rng, row):
+    I = speckle((40, 50), rng)
+    table = pd.DataFrame([(9, 9, 0, 0), row], columns=["x1", "x2", "u1", "u2"])
+    with pytest.raises(eofm.InputError, match="bubble 2 of 2 lies or moves outside"):
+        eofm.estimate_displacement(I, I, bubbles=table)
+
+
+def test_table_of_true_bubbles_serves_as_well(pair, truth):
+    """A user's own table needs only the four columns."""
+    I1, I2, bubbles = pair
+    u = eofm.estimate_displacement(I1, I2, bubbles=bubbles[["x1", "x2", "u1", "u2"]]).u
+    assert eofm.relative_errors(u, truth)["e_rel"] < 40
+
+
+def test_what_moves_into_a_dead_zone_carries_no_data(rng):
+    """A zone that is filled in both images does not spoil what is below it and moves up."""
+    x2, x1 = np.mgrid[:80, :96].astype(float)
+    u = np.stack([0 * x1, -4 * x2 / 79])
+    big = speckle((120, 136), rng, 2.0)
+    I2 = big[20:100, 20:116].copy()
+    I1 = evaluate(big, np.stack([x1, x2]) + u + 20)
+    dead = np.zeros(I1.shape, dtype=bool)
+    dead[30:50, 30:66] = True
+    plain = eofm.estimate_displacement(I1, I2).u
+    I1[dead] = I2[dead] = 0.5
+    masked = eofm.estimate_displacement(I1, I2, dead=dead).u
+    below = np.s_[50:56, 30:66]
+    errors = [np.hypot(*(v - u))[below].mean() for v in (masked, plain)]
+    assert errors[0] < 3 * errors[1] + 0.01

@@ -1,0 +1,180 @@
+"""The forms a and b against an independent assembly, and their convergence."""
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from conftest import speckle
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracle import direct
+from skfem import Basis, BilinearForm, ElementQuad1, LinearForm, MeshQuad
+from skfem.helpers import dot, grad
+
+from eofm.flow.functional import Pointwise, Quadratic, data_term, smoothness_energy, speckle_term
+from eofm.grid import Grid
+from eofm.imaging.splines import gradient
+
+SIZES = [(8, 8), (9, 14), (13, 7), (16, 31)]
+VERTICES = (np.array([[0.0, 1, 0, 1], [0, 0, 1, 1]]), np.full(4, 0.25))
+
+
+def problem(shape, rng, spacing=(1.0, 1.0), alpha=0.8, smoothness="gradient", edges=True):
+    grid = Grid(shape, spacing)
+    I1, I2 = speckle(shape, rng), speckle(shape, rng)
+    data = data_term(gradient(I1, spacing), I2 - I1, rng.random(shape) < 0.9)
+    x = rng.uniform(0, 1, (2, 6)) * np.reshape(grid.lengths, (2, 1))
+    free = np.ones(shape, bool)
+    if edges:
+        free[[0, -1]] = False
+    terms = data + speckle_term(grid, x, rng.normal(size=(2, 6)), 0.5, 2.0)
+    return Quadratic(grid, terms, alpha, free, smoothness)
+
+
+def by_scikit_fem(F):
+    """a and b assembled by scikit-fem with the same quadrature, on all pixels."""
+    basis = Basis(MeshQuad.init_tensor(*F.grid.axes), ElementQuad1(), quadrature=VERTICES)
+    # Index of the pixel under each node, and under each quadrature point.
+    h = np.array(F.grid.spacing)
+    pixel = np.rint(basis.doflocs.T / h).astype(int)
+    order = np.lexsort(pixel.T)
+    column, row = np.rint(np.asarray(basis.global_coordinates()) / h[:, None, None]).astype(int)
+
+    @BilinearForm
+    def stiffness(u, v, w):
+        return F.alpha * dot(grad(u), grad(v))
+
+    def mass(values):
+        return BilinearForm(lambda u, v, w: values[row, column] * u * v).assemble(basis)
+
+    def load(values):
+        return LinearForm(lambda v, w: values[row, column] * v).assemble(basis)
+
+    R = stiffness.assemble(basis)
+    A11, A12, A22 = (mass(A) for A in F.terms.A)
+    a = 2 * sp.block_array([[A11 + R, A12], [A12, A22 + R]], format="csr")
+    b = 2 * np.concatenate([load(c) for c in F.terms.b])
+    both = np.concatenate([order, order + len(order)])
+    keep = np.flatnonzero(np.tile(F.free.ravel(), 2))
+    return a[both][:, both][keep][:, keep], b[both][keep]
+
+
+@pytest.mark.parametrize("shape", SIZES)
+@pytest.mark.parametrize("edges", [True, False])
+def test_forms_agree_with_scikit_fem(shape, edges, rng):
+    F = problem(shape, rng, (1.5, 0.8), edges=edges)
+    a, b = by_scikit_fem(F)
+    assert abs(F.a() - a).max() < 1e-8 * abs(a).max()
+    np.testing.assert_allclose(F.b(), b, atol=1e-8 * abs(b).max())
+
+
+@pytest.mark.parametrize("shape", SIZES)
+@pytest.mark.parametrize("smoothness", ["gradient", "bending"])
+def test_a_is_symmetric_positive_definite(shape, smoothness, rng):
+    a = problem(shape, rng, smoothness=smoothness).a().toarray()
+    np.testing.assert_allclose(a, a.T, atol=1e-12 * abs(a).max())
+    assert np.linalg.eigvalsh(a).min() > 0
+
+
+@given(st.integers(8, 20), st.integers(8, 20), st.integers(0, 2**32 - 1))
+@settings(max_examples=25)
+def test_minimiser_beats_its_neighbours(height, width, seed):
+    rng = np.random.default_rng(seed)
+    F = problem((height, width), rng)
+    v = direct(F)[:, F.free].ravel()
+
+    def value(x):
+        return x @ (F.a() @ x) / 2 - F.b() @ x
+
+    for _ in range(3):
+        assert value(v) <= value(v + 0.01 * rng.normal(size=v.shape))
+
+
+def test_smoothness_energies_of_polynomials():
+    grid = Grid((17, 26), (1.2, 0.7))
+    x1, x2 = np.meshgrid(*grid.axes)
+    area = np.prod(grid.lengths)
+    for f, first, second in [(1 + 0 * x1, 0, 0), (3 * x1 - x2, 10, 0), (x1 * x2, None, 2)]:
+        f = f.ravel()
+        if first is not None:
+            assert f @ (smoothness_energy(grid, "gradient") @ f) == pytest.approx(
+                first * area, abs=1e-9
+            )
+        assert f @ (smoothness_energy(grid, "bending") @ f) == pytest.approx(
+            second * area, rel=1e-10, abs=1e-8
+        )
+
+
+@pytest.mark.parametrize("smoothness", ["gradient", "bending"])
+def test_rough_functionals_have_the_covariance_of_the_smoothness(smoothness):
+    shape = (8, 9)
+    terms = Pointwise(np.zeros((3, *shape)), np.zeros((2, *shape)))
+    F = Quadratic(Grid(shape, (1.2, 0.8)), terms, 0.7, np.ones(shape, dtype=bool), smoothness)
+
+    class Unit:
+        """Deals the k-th unit vector instead of noise, in the pieces that are asked for."""
+
+        def __init__(self, k):
+            self.left = k
+
+        def standard_normal(self, size):
+            z = np.zeros(size)
+            if 0 <= self.left < z.size:
+                z.flat[self.left] = 1
+            self.left -= z.size
+            return z
+
+    root = [draw for k in range(1000) if (draw := F.rough(Unit(k)).ravel()).any()]
+    root = np.stack(root)
+    assert len(root) < 900  # all of them
+    np.testing.assert_allclose(root.T @ root, F.a().toarray() / 2, atol=1e-12)
+
+
+def test_data_term_is_the_square_of_the_flow_equation(rng):
+    grad_I, I_t, v = rng.normal(size=(2, 5, 6)), rng.normal(size=(5, 6)), rng.normal(size=(2, 5, 6))
+    inside = rng.random((5, 6)) < 0.7
+    term = data_term(grad_I, I_t, inside)
+    A11, A12, A22 = term.A
+    density = A11 * v[0] ** 2 + 2 * A12 * v[0] * v[1] + A22 * v[1] ** 2 - 2 * (term.b * v).sum(0)
+    expected = inside * (((grad_I * v).sum(0) + I_t) ** 2 - I_t**2)
+    np.testing.assert_allclose(density, expected, atol=1e-12)
+
+
+def test_one_bubble_weighs_beta():
+    grid = Grid((61, 71))
+    term = speckle_term(grid, np.array([[33.3], [29.6]]), np.array([[2.0], [-1.0]]), 0.5, 4.0)
+    assert term.A[0].sum() == pytest.approx(0.5, rel=1e-6)
+    np.testing.assert_allclose(term.b.sum((1, 2)), [1.0, -0.5], rtol=1e-6)
+    assert not term.A[1].any()
+
+
+def manufactured(n, smooth=0.8):
+    """Error of the solution of a smooth problem with known solution on n x n cells."""
+    grid = Grid((n + 1, n + 1), (1 / n, 1 / n))
+    x1, x2 = np.meshgrid(*grid.axes)
+    s, c, pi = np.sin, np.cos, np.pi
+    # v = 0 on top and bottom, natural on the sides.
+    v = np.stack([c(pi * x1) * s(pi * x2), c(2 * pi * x1) * s(pi * x2)])
+    laplace = -np.stack([2 * pi**2 * v[0], 5 * pi**2 * v[1]])
+    grad_I = np.stack([1 + x1 * x2, c(x2)])
+    A = np.stack([grad_I[0] ** 2 + 1, grad_I[0] * grad_I[1], grad_I[1] ** 2 + 1])
+    load = -smooth * laplace + np.stack([A[0] * v[0] + A[1] * v[1], A[1] * v[0] + A[2] * v[1]])
+    free = np.ones(grid.shape, bool)
+    free[[0, -1]] = False
+    error = direct(Quadratic(grid, Pointwise(A, load), smooth, free)) - v
+    return np.sqrt((error**2).mean())
+
+
+def test_manufactured_solution_converges_with_rate_two():
+    errors = [manufactured(n) for n in (16, 32, 64)]
+    rates = np.log2(np.divide(errors[:-1], errors[1:]))
+    np.testing.assert_allclose(rates, 2, atol=0.1)
+
+
+def test_no_data_reproduces_nothing_and_a_constant_bubble_field_is_exact(rng):
+    """Patch test: with natural edges a constant motion of all bubbles is the solution."""
+    grid = Grid((15, 22))
+    x = rng.uniform(0, 1, (2, 9)) * [[21], [14]]
+    motion = np.tile([[1.25], [-2.5]], 9)
+    F = Quadratic(grid, speckle_term(grid, x, motion, 0.5, 3.0), 0.8, np.ones(grid.shape, bool))
+    np.testing.assert_allclose(direct(F)[0], 1.25, atol=1e-9)
+    np.testing.assert_allclose(direct(F)[1], -2.5, atol=1e-9)

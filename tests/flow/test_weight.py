@@ -1,0 +1,86 @@
+"""The choice of the weight, and the accurate estimate that rests on it."""
+
+import numpy as np
+import pytest
+
+from eofm.flow.estimate import estimate_displacement
+from eofm.flow.matching import ImagePair, held_out
+from eofm.flow.weight import choose_alpha
+from eofm.grid import Grid
+from eofm.settings import Estimation, Phantom
+from eofm.simulation.phantom import make_phantom
+
+SHAPE = (40, 56)
+
+
+def smooth_field(shape=SHAPE, size=1.5):
+    x2, x1 = np.mgrid[: shape[0], : shape[1]] / np.reshape(shape, (2, 1, 1))
+    return size * np.stack([0.6 * (x1 - 0.5) * np.sin(np.pi * x2), -x2 + 0.1 * np.sin(4 * x1)])
+
+
+def speckle(u, **changes):
+    settings = {"count": 400, "sigma": (1.3, 1.3), "seed": 3} | changes
+    return make_phantom(u, Phantom(**settings))[:2]
+
+
+def relative(estimate, truth):
+    return np.linalg.norm(estimate - truth) / np.linalg.norm(truth)
+
+
+@pytest.mark.parametrize("block", [8, 16])
+def test_held_out_blocks_are_a_quarter_and_disjoint(block):
+    folds = np.stack([held_out((128, 192), k, block) for k in range(4)])
+    assert (folds.sum(0) == 1).all()
+    assert np.allclose(folds.mean((1, 2)), 0.25, atol=0.02)
+
+
+def test_no_motion_gives_zero():
+    I = speckle(np.zeros((2, *SHAPE)))[0]
+    assert np.abs(estimate_displacement(I, I).u).max() < 1e-9
+
+
+def test_motion_is_found_without_edges_or_background():
+    u = smooth_field()
+    found = estimate_displacement(*speckle(u))
+    assert relative(found.u, u) < 0.06
+    assert np.array_equal(found.u, estimate_displacement(*speckle(u)).u)
+
+
+def test_an_exact_background_stays():
+    u = smooth_field()
+    edges = ("top", "bottom", "left", "right")
+    found = estimate_displacement(*speckle(u), Estimation(zero_edges=edges), background=u)
+    assert relative(found.u, u) < 0.01
+    assert np.array_equal(found.u[:, 0], u[:, 0])
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1, 0.3])
+def test_the_weight_chosen_is_near_the_best(noise):
+    u = smooth_field()
+    images = speckle(u, count=1500, noise=noise)
+    weights = 10.0 ** np.arange(-2, 2.5, 0.5)
+    errors = [relative(estimate_displacement(*images, Estimation(alpha=a)).u, u) for a in weights]
+    assert relative(estimate_displacement(*images).u, u) < 1.25 * min(errors)
+
+
+def test_windows_stand_for_a_large_image():
+    """More pixels to the same weight: its order of magnitude does not depend on windows."""
+    shape = (400, 420)
+    u = smooth_field(shape, 3.0)
+    I1, I2 = speckle(u, count=12000, noise=0.1)
+    free, zero = np.ones(shape, dtype=bool), np.zeros((2, *shape))
+    match = ImagePair(Grid(shape), I1, I2, free, True).linearise(u)
+    chosen = choose_alpha(match, zero, zero, free, 1.0)
+    part = np.s_[:300, :300]
+    match = ImagePair(Grid((300, 300)), I1[part], I2[part], free[part], True).linearise(u[:, *part])
+    zero = zero[:, *part]
+    assert 0.1 < chosen / choose_alpha(match, zero, zero, free[part], 1.0) < 10
+
+
+def test_a_black_quarter_does_not_stop_the_choice():
+    shape = (400, 400)
+    u = smooth_field(shape, 2.0)
+    I1, I2 = speckle(u, count=9000, noise=0.0)
+    I1[:200, :200] = I2[:200, :200] = 0
+    found = estimate_displacement(I1, I2, Estimation(scales=2, warps=2))
+    assert relative(found.u[:, 220:, 220:], u[:, 220:, 220:]) < 0.05

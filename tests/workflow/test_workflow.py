@@ -1,0 +1,276 @@
+"""The whole workflow on a small configuration, in a copy of the project."""
+
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from matplotlib.image import imread
+
+from eofm.analysis.metrics import relative_errors
+from eofm.io import read_field
+
+PARTS = ["Snakefile", "config", "workflow", "profiles", "eofm", "tests/small.yaml"]
+JOBS = 28
+
+
+class Project:
+    """A copy of the project, whose modules may be edited."""
+
+    def __init__(self, root: Path, source: Path) -> None:
+        self.root = root
+        for part in PARTS:
+            (root / part).parent.mkdir(parents=True, exist_ok=True)
+            copy = shutil.copytree if (source / part).is_dir() else shutil.copy
+            copy(source / part, root / part)
+
+    def run(self, *words: str) -> subprocess.CompletedProcess:
+        command = [sys.executable, "-m", "snakemake", "--configfile", "config/config.yaml"]
+        return subprocess.run(
+            [*command, "tests/small.yaml", *words],
+            cwd=self.root,
+            env=os.environ | {"PYTHONPATH": str(self.root)},
+            capture_output=True,
+            text=True,
+            stdin=subprocess.DEVNULL,
+        )
+
+    def digest(self) -> dict[str, str]:
+        """Checksums of all results but pictures."""
+        files = [
+            p
+            for end in ("tif", "csv", "tex", "html")
+            for p in self.root.glob(f"results/**/*.{end}")
+        ]
+        return {
+            str(p.relative_to(self.root)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files
+        }
+
+
+def reruns(result: subprocess.CompletedProcess) -> set[str]:
+    """The rules that a dry run would run."""
+    table = result.stdout.partition("Job stats:")[2].partition("total")[0].splitlines()
+    return {line.split()[0] for line in table[3:] if line.strip()}
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory, pytestconfig):
+    project = Project(tmp_path_factory.mktemp("project"), pytestconfig.rootpath)
+    result = project.run("--cores", "2")
+    assert result.returncode == 0, result.stdout + result.stderr
+    return project
+
+
+def test_table1(project):
+    table = pd.read_csv(project.root / "results/table1.csv", dtype={"test": str})
+    columns = "test alpha beta multiscale e_rel e_rel_u1 e_rel_u2 max_error_u1 max_error_u2"
+    paper = ["paper_e_rel", "paper_e_rel_u1", "paper_e_rel_u2"]
+    assert list(table.columns) == [*columns.split(), *paper]
+    assert table.test.tolist() == ["background", "1", "2", "3", "4", "5", "5b", "6"]
+    assert table.beta.tolist()[1:6] == [0.5, 0, 0, 0.5, 0.5]
+    assert table.multiscale.tolist()[1:6] == ["yes", "no", "yes", "no", "yes"]
+    assert table[columns.split()[4:]].notna().all(axis=None)
+    assert table.paper_e_rel.tolist()[1:6] == [19.22, 31.69, 20.92, 10.21, 6.48]
+    assert table.paper_e_rel[6:].isna().all()
+    assert "6 (ours)" in (project.root / "results/table1.html").read_text()
+    assert "10.21" in (project.root / "results/table1.tex").read_text()
+    assert "10.21" in (project.root / "results/table1.html").read_text()
+
+
+@pytest.mark.parametrize(
+    "name", ["figure3", "figure4", "figure5", "figure6", "figure7", "test2", "test4"]
+)
+def test_figures(project, name):
+    assert imread(project.root / f"results/figures/{name}.png").std() > 0.05
+    assert (project.root / f"results/figures/{name}.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.fixture(scope="module")
+def samples(project):
+    """The target `samples` with one good row and some that cannot be used."""
+    rows = [
+        ["sample", "reference", "deformed", "top", "bottom", "scales", "roi"],
+        ["good", "results/phantom/reference.tif", "results/phantom/deformed.tif"]
+        + ["fixed", "moved 0 -2", "3", "0 0 70 45"],
+        ["edge", "results/phantom/reference.tif", "results/phantom/deformed.tif", "glued"],
+        ["missing", "nowhere.tif#2", "results/phantom/deformed.tif"],
+        ["# a comment"],
+    ]
+    text = "\n".join("\t".join(row + [""] * (7 - len(row))).rstrip("\t") for row in rows)
+    (project.root / "pairs.tsv").write_text(text + "\n")
+    return project.run("--cores", "2", "samples", "--config", "samples=pairs.tsv")
+
+
+def test_a_good_sample_is_analysed_whatever_the_others_are(project, samples):
+    assert samples.returncode == 1
+    folder = project.root / "results/samples/good"
+    assert imread(folder / "displacement.png").std() > 0.05
+    assert '"steps": 1' in (folder / "summary.json").read_text()
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [("edge", "edge: top: cannot read 'glued'"), ("missing", "missing: nowhere.tif: no such file")],
+)
+def test_a_bad_sample_is_named_in_one_line(project, samples, name, message):
+    log = (project.root / f"logs/samples/{name}.log").read_text()
+    assert log.startswith(f"eofm sample: {message}")
+    assert log.count("\n") == 1
+    assert not (project.root / f"results/samples/{name}/summary.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("sample\tbotom\na\tfixed\n", "unknown column botom; did you mean bottom?"),
+        ("name\nx\n", "unknown column name"),
+        ("sample\na b\n", "sample 'a b'"),
+        ("sample\na\na\n", "sample a stands in it twice"),
+    ],
+)
+def test_a_table_of_samples_that_cannot_be_used(project, text, message):
+    (project.root / "bad.tsv").write_text(text)
+    result = project.run("--dry-run", "samples", "--config", "samples=bad.tsv")
+    assert result.returncode == 1
+    assert message in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_accuracy_target_beats_test5(project):
+    result = project.run("--cores", "2", "accuracy")
+    assert result.returncode == 0, result.stdout + result.stderr
+    errors = {
+        test: pd.read_csv(project.root / f"results/tests/{test}/errors.csv").e_rel[0]
+        for test in ("5", "5b", "6")
+    }
+    assert errors["5b"] < 0.6 * errors["5"]
+    assert errors["6"] < 0.6 * errors["5"]
+    for name in ("test5b", "test6", "stiffness"):
+        assert imread(project.root / f"results/figures/{name}.png").std() > 0.05
+
+
+def test_a_second_run_finds_nothing_to_do(project):
+    assert "Nothing to be done" in project.run("--cores", "1").stderr
+
+
+def test_one_core_gives_the_same_bytes(project):
+    before = project.digest()
+    shutil.rmtree(project.root / "results")
+    result = project.run("--cores", "1", "results/table1.csv")
+    assert result.returncode == 0, result.stderr
+    after = project.digest()
+    assert len(after) > 15
+    assert after == {name: before[name] for name in after}
+
+
+def test_dry_run_counts_the_jobs_of_a_fresh_project(tmp_path, pytestconfig):
+    result = Project(tmp_path, pytestconfig.rootpath).run("--dry-run")
+    assert result.returncode == 0, result.stderr
+    assert f"total {JOBS}" in " ".join(result.stdout.split())
+
+
+@pytest.mark.parametrize(
+    ("module", "rerun", "kept"),
+    [
+        ("bubbles", {"track", "estimate", "table1"}, {"phantom", "true_field"}),
+        ("metrics", {"evaluate", "table1"}, {"estimate", "track"}),
+        ("functional", {"estimate"}, {"track", "phantom"}),
+        ("stencils", {"estimate", "preset"}, {"track", "phantom"}),
+        ("config", set(), {"estimate", "track", "phantom"}),
+    ],
+)
+def test_editing_a_module_reruns_the_rules_that_use_it(project, module, rerun, kept):
+    path = project.root / "eofm" / f"{module}.py"
+    times, text = path.stat(), path.read_bytes()
+    path.write_bytes(text + b"\n")
+    try:
+        rules = reruns(project.run("--dry-run", "results/table1.csv"))
+    finally:
+        # All as it was, or later tests would compile the module again.
+        path.write_bytes(text)
+        os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
+    assert rerun <= rules
+    assert not kept & rules
+
+
+def test_changing_a_value_reruns_what_depends_on_it(project):
+    words = ["--dry-run", "results/table1.csv", "--config", "tracking={gate: 3.0}"]
+    rules = reruns(project.run(*words))
+    assert {"track", "estimate", "evaluate", "table1"} <= rules
+    assert not {"true_field", "phantom"} & rules
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("estimation={alfa: 1}", "unknown key estimation.alfa; did you mean alpha?"),
+        ("sample={poisson_ratio: 0.5}", "sample.poisson_ratio: input should be less than 0.5"),
+    ],
+)
+def test_wrong_configuration_ends_in_one_line(project, setting, message):
+    result = project.run("--dry-run", "--config", setting)
+    assert result.returncode == 1
+    assert message in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_virtual_oct(project):
+    result = project.run("--cores", "2", "virtual_oct")
+    assert result.returncode == 0, result.stderr
+    folder = project.root / "results/virtual_oct"
+    table = pd.read_csv(folder / "errors.csv")
+    columns = "method max_error_u1 max_error_u2 median_error max_true_u1 max_true_u2"
+    assert list(table.columns) == columns.split()
+    assert table.method.tolist() == ["background", "standard", "eofm"]
+    assert table.median_error.idxmin() == 2
+    for number in (1, 2, 8):
+        assert imread(folder / f"figures/figure{number}.png").std() > 0.05
+        assert (folder / f"figures/figure{number}.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_benchmark(project):
+    result = project.run("--cores", "2", "benchmark")
+    assert result.returncode == 0, result.stderr
+    folder = project.root / "results/benchmark"
+    table = pd.read_csv(folder / "estimate.csv")
+    assert list(table.columns) == ["tool", "size", "seconds", "peak_mb", "mean_error_px"]
+    runs = [("eofm", 48), ("eofm", 64), ("eofm preset", 48), ("tvl1", 48), ("dis", 48)]
+    assert list(zip(table.tool, table["size"], strict=True)) == runs
+    # OpenCV need not be installed.
+    measured = table[table.tool != "dis"]
+    assert (measured.seconds > 0).all()
+    assert (measured.mean_error_px < 1).all()
+    solver = pd.read_csv(folder / "solver.csv")
+    columns = "size unknowns regulariser alpha image iterations seconds peak_mb"
+    assert list(solver.columns) == columns.split()
+    assert len(solver) == len(solver.drop_duplicates(columns.split()[:5])) == 16
+    assert (solver.unknowns == 2 * solver["size"] ** 2).all()
+    assert solver.iterations.between(2, 30).all()
+    assert imread(folder / "benchmark.png").std() > 0.05
+    assert (folder / "benchmark.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_ensemble(project):
+    result = project.run("--cores", "2", "ensemble")
+    assert result.returncode == 0, result.stderr
+    folder = project.root / "results/ensemble"
+    table = pd.read_csv(folder / "test6.csv")
+    ours, peers = ["test5", "preset_free", "preset", "test6"], ["elastix", "dis", "demons"]
+    columns = ["phantom", "background", *ours, "dice", *peers, "coverage"]
+    assert list(table.columns) == columns
+    assert table.phantom.tolist() == [1, 2]
+    assert table[ours].gt(0).all(axis=None)
+    assert table[ours].lt(100).all(axis=None)
+    assert table[["dice", "coverage"]].map(lambda value: 0 <= value <= 1).all(axis=None)
+    assert "dense speckle" in "".join(p.read_text() for p in project.root.glob("logs/ensemble/*"))
+    for number in (1, 2):
+        errors = relative_errors(
+            read_field(folder / f"{number}/test6.tif"), read_field(folder / f"{number}/true.tif")
+        )
+        assert errors["e_rel"] == pytest.approx(table.test6[number - 1], rel=1e-3)
+    assert imread(folder / "ensemble.png").std() > 0.05
+    assert (folder / "ensemble.pdf").read_bytes().startswith(b"%PDF")
