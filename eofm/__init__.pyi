@@ -1,11 +1,15 @@
 from . import io as io
+from .analysis.analyse import Analysis as Analysis
 from .analysis.analyse import analyse as analyse
 from .analysis.metrics import relative_errors as relative_errors
+from .analysis.scene import Scene as Scene
+from .analysis.scene import read_scene as read_scene
 from .elasticity.forward import background_field as background_field
 from .elasticity.forward import true_field as true_field
 from .errors import InputError as InputError
 from .flow.estimate import Estimate as Estimate
 from .flow.estimate import estimate_displacement as estimate_displacement
+from .flow.known import Known as Known
 from .identification.stiffness import identify_stiffness as identify_stiffness
 from .identification.uncertainty import deviations as deviations
 from .imaging.bubbles import track as track
@@ -14,6 +18,7 @@ from .settings import Figures as Figures
 from .settings import Forward as Forward
 from .settings import Identification as Identification
 from .settings import Inclusion as Inclusion
+from .settings import Measures as Measures
 from .settings import Pair as Pair
 from .settings import Phantom as Phantom
 from .settings import Sample as Sample

@@ -76,6 +76,10 @@ class Section(BaseModel):
         except ValidationError as error:
             raise InputError(f"{where}: {_explain(error)}") from None
 
+    def changed(self, **values: Any) -> Self:
+        """Return the same settings with other values of some keys, checked like all others."""
+        return self.parse(dict(self) | values, type(self).__name__.lower())
+
 
 def _explain(error: ValidationError) -> str:
     first = error.errors(include_url=False)[0]
@@ -214,6 +218,9 @@ class Tracking(Section):
     tolerance: Positive = Field(3.0, description="largest deviation from their median motion")
 
 
+# Beyond these values of alpha one of the two terms is lost in rounding.
+ALPHA = (1e-6, 1e9)
+
 # The defaults of the method named "paper" where they differ from the preset's.
 PAPER = {
     "smoothness": "gradient",
@@ -236,8 +243,7 @@ class Estimation(Section):
     smoothness: Literal["gradient", "bending"] = Field(
         "bending", description="R: squared first (the paper's) or second derivatives"
     )
-    # Beyond these bounds one of the two terms is lost in rounding.
-    alpha: Annotated[float, Field(ge=1e-6, le=1e9)] | None = Field(
+    alpha: Annotated[float, Field(ge=ALPHA[0], le=ALPHA[1])] | None = Field(
         None, description="weight of R; none: chosen on held-out pixels (with bending)"
     )
     beta: float = Field(0.5, ge=0, description="weight of the speckle term S")
@@ -327,7 +333,21 @@ class Identification(Section):
     settled: Positive = Field(2e-3, description="relative change of u at which test 6 stops")
 
 
-class Pair(Section):
+class Measures(Section):
+    """What is made of a displacement."""
+
+    strain_window: Positive | None = Field(
+        None, description="Gaussian window of the strain's local linear fits, um; none: 3 px"
+    )
+    error_bars: int = Field(
+        16, ge=0, description="samples for the standard deviations; 0 leaves them out"
+    )
+    stiffness: bool = Field(
+        False, description="whether to identify the modulus; wants the whole sample in the image"
+    )
+
+
+class Pair(Measures):
     """A pair of images, or a sequence, and what is known of the sample."""
 
     reference: FileName | None = Field(
@@ -364,20 +384,16 @@ class Pair(Section):
     )
     poisson_ratio: float = Field(0.49, gt=0, lt=0.5, description="of the elastic background")
     plane: Literal["strain", "stress"] = Field("strain", description="of the elastic background")
-    strain_window: Positive | None = Field(
-        None, description="Gaussian window of the strain's local linear fits, um; none: 3 px"
-    )
-    error_bars: int = Field(
-        16, ge=0, description="samples for the standard deviations; 0 leaves them out"
-    )
-    stiffness: bool = Field(
-        False, description="whether to identify the modulus; wants the whole sample in the image"
-    )
 
     @property
     def pixel_size(self) -> tuple[float, float]:
         """Lateral and axial side of a pixel, um."""
         return self.lateral_size, self.axial_size
+
+    @property
+    def files(self) -> list[str]:
+        """Names of the images."""
+        return [name for name in (self.frames, self.reference, self.deformed) if name]
 
     @model_validator(mode="after")
     def _has_images(self) -> Self:

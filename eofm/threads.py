@@ -1,13 +1,40 @@
 """How many threads libraries take."""
 
+import os
+import sys
 from collections.abc import Callable
 from functools import wraps
 from typing import ParamSpec, TypeVar
 
 from threadpoolctl import threadpool_limits
 
+from eofm.errors import InputError
+
 P = ParamSpec("P")
 R = TypeVar("R")
+
+
+def use_threads(count: int | None) -> None:
+    """Give compiled loops some threads, or all cores, and BLAS one.
+
+    BLAS would take as many as there are cores, and its sums depend on their number.
+
+    Raises
+    ------
+    InputError
+        If the count is no positive number.
+    """
+    if count is not None and count < 1:
+        raise InputError(f"threads: wants a positive number (got {count})")
+    threadpool_limits(1, user_api="blas")
+    if count is None:
+        return
+    if "numba" in sys.modules:
+        import numba
+
+        numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))  # type: ignore[attr-defined]
+    else:
+        os.environ["NUMBA_NUM_THREADS"] = str(min(count, os.cpu_count() or 1))
 
 
 def serial(function: Callable[P, R]) -> Callable[P, R]:

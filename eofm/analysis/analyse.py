@@ -1,23 +1,30 @@
 """Your own images: all results of a pair or a sequence."""
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from eofm.analysis.quality import data_share, inconsistency, residual
-from eofm.analysis.scene import Scene, prepare
 from eofm.analysis.strain import FILTER, strain
 from eofm.errors import InputError
-from eofm.flow.estimate import Estimate, estimate_displacement, normalised
-from eofm.grid import FACES, Array, inside, unit_spacing
+from eofm.flow.estimate import Estimate, estimate_displacement
+from eofm.flow.known import Known
+from eofm.flow.problem import normalised
+from eofm.grid import FACES, Array, Mask, unit_spacing
 from eofm.identification.stiffness import Stiffness, identify_stiffness
 from eofm.identification.uncertainty import deviations
 from eofm.imaging.bubbles import track
 from eofm.imaging.splines import warp_field
-from eofm.settings import Estimation, Identification, Pair, Tracking
+from eofm.settings import Estimation, Identification, Measures, Sample, Tracking
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -55,7 +62,9 @@ class Analysis:
     Attributes
     ----------
     first, last : ndarray, shape (height, width)
-        First and last frame in the region of interest.
+        First and last frame.
+    pixel_size : (lateral, axial)
+        Sides of a pixel, um.
     u : ndarray, shape (2, height, width)
         Displacement from the first frame to the last, px.
     deviation : ndarray, shape (2, height, width), or None
@@ -72,6 +81,7 @@ class Analysis:
 
     first: Array
     last: Array
+    pixel_size: tuple[float, float]
     u: Array
     deviation: Array | None
     steps: list[Step]
@@ -80,21 +90,45 @@ class Analysis:
     share: Array
     summary: dict[str, Any]
 
+    def draw(self) -> "dict[str, Figure]":
+        """Return the figures by name: pair, displacement, strain, quality and stiffness."""
+        from eofm.analysis.report import draw
+
+        return draw(self)
+
+    def write(self, folder: Path, images: Sequence[str] = ()) -> None:
+        """Write fields, tables, summary and figures, see `eofm.analysis.report`.
+
+        The summary names the ``images`` they come from.
+        """
+        from eofm.analysis.report import write_results
+
+        write_results(self, folder, images)
+
 
 def analyse(
-    pair: Pair,
+    *frames: Array,
+    known: Known = Known(),
+    sample: Sample | None = None,
+    measures: Measures = Measures(),
     tracking: Tracking = Tracking(),
     estimation: Estimation = Estimation(),
     identification: Identification = Identification(),
-    *,
     progress: bool = False,
 ) -> Analysis:
     """Displacement, strain and their quality for a pair or sequence of images.
 
     Parameters
     ----------
-    pair : Pair
-        The images and what is known of the sample.
+    *frames : ndarray, shape (height, width)
+        Images before and after compression, or more than two in the order of time.
+    known : Known
+        Edges, background and dead zones of the first frame, and the sides of a pixel in um.
+        Motions are those of one step. Its bubbles are not used: they are tracked.
+    sample : Sample, optional
+        For the stiffness: size and materials of the sample; by default as large as the frames.
+    measures : Measures
+        What is made of the displacement: strain, error bars, stiffness.
     tracking, estimation, identification : Tracking, Estimation, Identification
         Settings of the steps.
     progress : bool
@@ -103,47 +137,61 @@ def analyse(
     Raises
     ------
     InputError
-        If anything described cannot be used.
+        If there are fewer than two frames, or anything described cannot be used.
 
     Notes
     -----
     In a sequence, the motion of an edge is that of one step, and each step imposes it on
     the image's own rows and columns: right while the edge stays near them. The modulus
     is that of the first step, when the sample is where the image shows it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import eofm
+    >>> u = np.zeros((2, 40, 60))
+    >>> u[1] = -0.02 * np.arange(40)[:, None]
+    >>> before, after, _ = eofm.make_phantom(u, eofm.Phantom(seed=2))
+    >>> results = eofm.analyse(before, after, known=eofm.Known(pixel_size=(5.0, 5.0)))
+    >>> results.strain.shape
+    (3, 40, 60)
+    >>> round(results.summary["axial_strain_mean"], 2)
+    -0.02
     """
-    scene = prepare(pair)
+    if len(frames) < 2:
+        raise InputError(f"frames: wants two or more images, got {len(frames)}")
+    dead = np.zeros(frames[0].shape, dtype=bool) if known.dead is None else known.dead
     steps: list[Step] = []
-    total, variance = np.zeros((2, *scene.dead.shape)), np.zeros((2, *scene.dead.shape))
-    for I1, I2 in zip(scene.frames[:-1], scene.frames[1:], strict=True):
-        sought = identification if pair.stiffness and not steps else None
-        step = _step(I1, I2, scene, pair, tracking, estimation, sought, progress)
+    total, variance = np.zeros((2, *dead.shape)), np.zeros((2, *dead.shape))
+    for I1, I2 in pairwise(frames):
+        guess = sample or Sample(height=dead.shape[0], width=dead.shape[1])
+        sought = (guess, identification) if measures.stiffness and not steps else None
+        step = _step(I1, I2, known, tracking, estimation, sought, measures.error_bars, progress)
         steps.append(step)
         # What was at x is at x + total(x) now, and moves on from there.
         if step.deviation is not None:
             variance += np.maximum(warp_field(step.deviation**2, total), 0)
         total = total + warp_field(step.estimate.u, total)
-        for edge in scene.edges if estimation.edge_weight is None else ():
-            total[:, *FACES[edge].pixels()] = sum(
-                s.estimate.u[:, *FACES[edge].pixels()] for s in steps
-            )
-    spacing = unit_spacing(pair.pixel_size)
-    window = pair.strain_window or 3 * float(np.sqrt(np.prod(pair.pixel_size)))
-    first, last = scene.frames[0], scene.frames[-1]
-    e = strain(total, pair.pixel_size, window)
+        for edge in known.edges if estimation.edge_weight is None else ():
+            on = FACES[edge].pixels()
+            total[:, *on] = sum(s.estimate.u[:, *on] for s in steps)
+    pixel_size, (first, last) = known.pixel_size, (frames[0], frames[-1])
+    window = measures.strain_window or 3 * float(np.sqrt(np.prod(pixel_size)))
+    e = strain(total, pixel_size, window)
     left = residual(first, last, total)
     share = data_share(
-        normalised(first, last, estimation, spacing)[0],
+        normalised(first, last, estimation, pixel_size)[0],
         estimation.smoothness,
         steps[-1].estimate.alpha,
         estimation.sigma,
-        spacing,
-        scene.dead,
+        unit_spacing(pixel_size),
+        dead,
     )
-    summary = _summary(pair, scene, steps, total, e, window)
+    summary = _summary(pixel_size, dead, steps, total, e, window)
     summary |= {
-        "residual_rms": float(np.sqrt(np.nanmean(left[~scene.dead] ** 2))),
+        "residual_rms": float(np.sqrt(np.nanmean(left[~dead] ** 2))),
         "residual_rms_without_motion": float(
-            np.sqrt(np.nanmean(residual(first, last, 0 * total)[~scene.dead] ** 2))
+            np.sqrt(np.nanmean(residual(first, last, 0 * total)[~dead] ** 2))
         ),
         "share_of_data_median": float(np.median(share)),
     }
@@ -155,63 +203,53 @@ def analyse(
             "rounds": found.rounds,
             "last_change_of_u": found.change,
         }
-    deviation = np.sqrt(variance) if pair.error_bars else None
+    deviation = np.sqrt(variance) if measures.error_bars else None
     if deviation is not None:
         summary["deviation_median_px"] = [float(np.median(d)) for d in deviation]
-    return Analysis(first, last, total, deviation, steps, e, left, share, summary)
+    return Analysis(first, last, pixel_size, total, deviation, steps, e, left, share, summary)
 
 
 def _step(
     I1: Array,
     I2: Array,
-    scene: Scene,
-    pair: Pair,
+    known: Known,
     tracking: Tracking,
     estimation: Estimation,
-    identification: Identification | None,
+    sought: tuple[Sample, Identification] | None,
+    error_bars: int,
     progress: bool,
 ) -> Step:
     """Standard flow, tracked bubbles, EOFM or the identified sample, and EOFM backwards."""
-    shared: dict[str, Any] = {"pixel_size": pair.pixel_size, "progress": progress}
     kept = estimation.model_dump(include={"scales", "factor", "limits", "local_window"})
     plain = Estimation(method="paper", beta=0.0, warps=estimation.warps, **kept)
-    standard = estimate_displacement(I1, I2, plain, dead=scene.dead, **shared).u
-    guess = standard if scene.background is None else scene.background
+    alone = Known(dead=known.dead, pixel_size=known.pixel_size)
+    standard = estimate_displacement(I1, I2, plain, alone, progress=progress).u
+    guess = standard if known.background is None else known.background
     bubbles = track(I1, I2, tracking, prediction=guess)
-    bubbles = bubbles[~scene.dead[_nearest(bubbles.x2), _nearest(bubbles.x1)]]
+    if known.dead is not None:
+        bubbles = bubbles[~known.dead[_nearest(bubbles.x2), _nearest(bubbles.x1)]]
     if bubbles.empty:
         raise InputError("mask: leaves no bubble; make it smaller, or lower the threshold")
-    known: dict[str, Any] = {"bubbles": bubbles, "edges": scene.edges, "dead": scene.dead}
+    known = replace(known, bubbles=bubbles)
     stiffness, deviation, modulus_deviation = None, None, None
-    if identification is not None:
-        stiffness = identify_stiffness(
-            I1, I2, scene.sample, identification, estimation, **known, **shared
-        )
-        estimate = stiffness.estimate
-        if pair.error_bars:
-            deviation, modulus_deviation = deviations(stiffness, samples=pair.error_bars)
+    if sought is None:
+        estimate = estimate_displacement(I1, I2, estimation, known, progress=progress)
+        if error_bars:
+            deviation = estimate.deviation(error_bars)
     else:
-        estimate = estimate_displacement(
-            I1, I2, estimation, background=scene.background, **known, **shared
-        )
-        if pair.error_bars:
-            deviation = estimate.deviation(pair.error_bars)
-    back = bubbles.assign(
-        x1=bubbles.x1 + bubbles.u1, x2=bubbles.x2 + bubbles.u2, u1=-bubbles.u1, u2=-bubbles.u2
-    )
-    back = back[inside(I2.shape, back[["x1", "x2"]].to_numpy().T)]
-    # What the way there knew, the way back knows too.
-    u_bg = scene.background if stiffness is None else stiffness.elastic
-    scale = 1.0 if stiffness is None else stiffness.scale
+        stiffness = identify_stiffness(I1, I2, *sought, estimation, known, progress=progress)
+        estimate = stiffness.estimate
+        if error_bars:
+            deviation, modulus_deviation = deviations(stiffness, samples=error_bars)
+        # What the way there has learnt, the way back knows too.
+        edges = {edge: stiffness.scale * g for edge, g in known.edges.items()}
+        known = replace(known, background=stiffness.elastic, edges=edges)
     w = estimate_displacement(
         I2,
         I1,
-        estimation.model_copy(update={"alpha": estimate.alpha}),
-        bubbles=back,
-        background=None if u_bg is None else -warp_field(u_bg, -u_bg),
-        edges={edge: -scale * g for edge, g in scene.edges.items()},
-        dead=scene.dead,
-        **shared,
+        estimation.changed(alpha=estimate.alpha),
+        known.backwards(I2.shape),
+        progress=progress,
     ).u
     return Step(
         estimate,
@@ -229,16 +267,20 @@ def _nearest(x: pd.Series) -> NDArray[np.int64]:
 
 
 def _summary(
-    pair: Pair, scene: Scene, steps: list[Step], u: Array, e: Array, window: float
+    pixel_size: tuple[float, float],
+    dead: Mask,
+    steps: list[Step],
+    u: Array,
+    e: Array,
+    window: float,
 ) -> dict[str, Any]:
     def span(values: Array) -> list[float]:
         return [float(values.min()), float(values.max())]
 
-    errors = np.concatenate([step.inconsistency[~scene.dead] for step in steps])
+    errors = np.concatenate([step.inconsistency[~dead] for step in steps])
     return {
-        "images": [pair.frames] if pair.frames else [pair.reference, pair.deformed],
         "size_px": [u.shape[2], u.shape[1]],
-        "pixel_size_um": list(pair.pixel_size),
+        "pixel_size_um": list(pixel_size),
         "steps": len(steps),
         "bubbles": [len(step.bubbles) for step in steps],
         "bubble_quality_median": float(
@@ -247,11 +289,11 @@ def _summary(
         "alpha": [step.estimate.alpha for step in steps],
         "u1_range_px": span(u[0]),
         "u2_range_px": span(u[1]),
-        "u1_range_um": span(u[0] * pair.lateral_size),
-        "u2_range_um": span(u[1] * pair.axial_size),
+        "u1_range_um": span(u[0] * pixel_size[0]),
+        "u2_range_um": span(u[1] * pixel_size[1]),
         "strain_filter": FILTER,
         "strain_window_um": window,
         "axial_strain_mean": float(e[1].mean()),
-        "dead_share": float(scene.dead.mean()),
+        "dead_share": float(dead.mean()),
         "forward_backward_error_median_px": float(np.nanmedian(errors)),
     }

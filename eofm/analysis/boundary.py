@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from eofm.errors import InputError
-from eofm.grid import Array, Edge
+from eofm.grid import FACES, Array, Edge, Face
 from eofm.io import read_columns
+from eofm.settings import Region
 
 WORDS = "free, fixed, moved U1 U2 [um], moved FILE, or outside"
 
@@ -26,6 +27,39 @@ class EdgeState:
 
     outside: bool
     motion: Array | None
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a region of interest lies in the whole sample, px, lateral first.
+
+    Attributes
+    ----------
+    offset, size, whole : (lateral, axial)
+        First pixel and size of the region; size of the sample.
+    """
+
+    offset: tuple[int, int]
+    size: tuple[int, int]
+    whole: tuple[int, int]
+
+    @classmethod
+    def of(cls, roi: Region, extent: Region) -> "Place":
+        """Return it for a region and a sample that are given in px of one image."""
+        return cls((roi[0] - extent[0], roi[1] - extent[1]), roi[2:], extent[2:])
+
+    def inside_of(self, face: Face) -> bool:
+        """Whether the sample goes on beyond an edge of the region."""
+        c = face.component
+        before, after = self.offset[c], self.whole[c] - self.offset[c] - self.size[c]
+        return (after if face.last else before) > 0
+
+    def part(self, face: Face, motion: Array) -> Array:
+        """Motion of the region's part of an edge; n = 1 is constant."""
+        along = 1 - face.component
+        if motion.shape[1] == 1:
+            return motion
+        return motion[:, self.offset[along] : self.offset[along] + self.size[along]]
 
 
 def parse_edge(
@@ -49,8 +83,7 @@ def parse_edge(
         return EdgeState(outside, None)
     if kind == "fixed":
         return EdgeState(outside, np.zeros((2, 1)))
-    length = shape[1] if edge in ("top", "bottom") else shape[0]
-    motion = _motion(edge, words[1:], length, pixel_size)
+    motion = _motion(edge, words[1:], FACES[edge].along(shape), pixel_size)
     for i, size in enumerate(shape[::-1]):
         if abs(motion[i]).max() >= size:
             raise InputError(

@@ -82,7 +82,7 @@ def compare_errors(
 
     Errors are rougher than fields, so they get half as many level lines.
     """
-    settings = settings.model_copy(update={"levels": max(settings.levels // 2, 2)})
+    settings = settings.changed(levels=max(settings.levels // 2, 2))
     with mpl.rc_context(STYLE):
         figure, axes = _panels(2, len(fields), truth.shape[1:], settings)
         for i in (0, 1):

@@ -1,5 +1,6 @@
 """The results of a pair or sequence as files and figures."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +10,13 @@ from matplotlib.figure import Figure
 from eofm import io
 from eofm.analysis import figures
 from eofm.analysis.analyse import Analysis
-from eofm.settings import Figures, Pair
+from eofm.grid import componentwise
+from eofm.settings import Figures
 
 STRAIN_LABELS = ["e11 lateral", "e22 axial", "e12 shear"]
 
 
-def write_results(results: Analysis, pair: Pair, folder: Path) -> None:
+def write_results(results: Analysis, folder: Path, images: Sequence[str] = ()) -> None:
     """Write fields, tables, summary and figures into a folder.
 
     ``displacement.tif`` (px), ``displacement_um.tif``, ``deviation.tif`` (px), ``strain.tif``,
@@ -27,7 +29,7 @@ def write_results(results: Analysis, pair: Pair, folder: Path) -> None:
         (folder / name).unlink(missing_ok=True)
     for kind in ("png", "pdf"):
         (folder / f"stiffness.{kind}").unlink(missing_ok=True)
-    size = np.reshape(pair.pixel_size, (2, 1, 1))
+    size = componentwise(results.pixel_size, 2)
     io.write_field(folder / "displacement.tif", results.u)
     io.write_field(folder / "displacement_um.tif", results.u * size, "um")
     io.write_pages(folder / "strain.tif", results.strain, STRAIN_LABELS)
@@ -44,15 +46,16 @@ def write_results(results: Analysis, pair: Pair, folder: Path) -> None:
         io.write_pages(folder / "increments.tif", increments, labels)
     tables = [step.bubbles.assign(step=k) for k, step in enumerate(results.steps)]
     io.write_table(folder / "bubbles.csv", pd.concat(tables, ignore_index=True))
-    settings = Figures(pixel_size=pair.pixel_size)
+    settings = Figures(pixel_size=results.pixel_size)
     for name, figure in draw(results, settings).items():
         paths = [folder / f"{name}.{kind}" for kind in ("png", "pdf")]
         figures.save(figure, paths, settings)
-    io.write_json(folder / "summary.json", results.summary)
+    io.write_json(folder / "summary.json", {"images": list(images)} | results.summary)
 
 
-def draw(results: Analysis, settings: Figures) -> dict[str, Figure]:
+def draw(results: Analysis, settings: Figures | None = None) -> dict[str, Figure]:
     """The figures of a pair; of a sequence, the bubbles and standard flow of its first step."""
+    settings = settings or Figures(pixel_size=results.pixel_size)
     step = results.steps[0]
     fields = {"standard flow": step.standard, "EOFM": step.estimate.u}
     drawn = {

@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 from skimage.draw import polygon2mask
 
 from eofm import io
-from eofm.analysis.boundary import EdgeState, parse_edge
+from eofm.analysis.boundary import EdgeState, Place, parse_edge
 from eofm.elasticity.forward import deform
 from eofm.errors import InputError
-from eofm.grid import Array, Edge
-from eofm.settings import Pair, Sample
+from eofm.flow.known import Known
+from eofm.grid import FACES, Array, Edge
+from eofm.settings import Pair, Region, Sample
 
 
 @dataclass(frozen=True)
@@ -23,24 +24,18 @@ class Scene:
     ----------
     frames : ndarray, shape (n, height, width)
         The region of interest in all frames.
-    dead : ndarray of bool, shape (height, width)
-        Pixels of the first frame without data.
-    edges : dict of ndarray, shape (2, m)
-        Known motion of edges of the region in one step, px.
-    background : ndarray, shape (2, height, width), or None
-        Background field of one step, px.
+    known : Known
+        Dead zones of the first frame, and edges and background of one step.
     sample : Sample
         Size and materials of the whole sample.
     """
 
     frames: Array
-    dead: NDArray[np.bool_]
-    edges: dict[Edge, Array]
-    background: Array | None
+    known: Known
     sample: Sample
 
 
-def prepare(pair: Pair) -> Scene:
+def read_scene(pair: Pair) -> Scene:
     """Read and check all that a pair describes, before any long work.
 
     Raises
@@ -49,60 +44,40 @@ def prepare(pair: Pair) -> Scene:
         In one line that begins with the key at fault.
     """
     frames = _frames(pair)
-    x1, x2, width, height = pair.roi or (0, 0, frames.shape[2], frames.shape[1])
-    if x1 < 0 or x2 < 0 or x1 + width > frames.shape[2] or x2 + height > frames.shape[1]:
-        raise InputError(
-            f"roi: reaches from ({x1}, {x2}) to ({x1 + width}, {x2 + height}), outside of the"
-            f" image of {frames.shape[2]} x {frames.shape[1]} px (lateral x axial)"
-        )
-    window = np.s_[x2 : x2 + height, x1 : x1 + width]
+    roi = _roi(pair, frames.shape[1:])
+    window = np.s_[roi[1] : roi[1] + roi[3], roi[0] : roi[0] + roi[2]]
     dead = _dead(pair, frames.shape[1:])[window]
     if dead.all():
         raise InputError("mask: leaves no pixel of the region of interest")
     frames = frames[:, *window]
     # What a mask hides must not stretch the grey scale.
     frames[:, dead] = np.median(frames[:, ~dead])
-    extent = _extent(pair, (x1, x2, width, height))
-    texts: dict[Edge, str] = {
-        "top": pair.top,
-        "bottom": pair.bottom,
-        "left": pair.left,
-        "right": pair.right,
-    }
-    whole = extent[3], extent[2]
-    states = {e: parse_edge(e, text, whole, pair.pixel_size) for e, text in texts.items()}
-    offset = x1 - extent[0], x2 - extent[1]
-    beyond: dict[Edge, bool] = {
-        "left": offset[0] > 0,
-        "top": offset[1] > 0,
-        "right": offset[0] + width < extent[2],
-        "bottom": offset[1] + height < extent[3],
-    }
-    edges = {}
-    for edge, state in states.items():
-        if state.motion is None or state.outside:
-            continue
-        if beyond[edge]:
-            raise InputError(
-                f"{edge}: the sample's extent goes on beyond it; say 'outside {texts[edge]}'"
-            )
-        start, length = (offset[0], width) if edge in ("top", "bottom") else (offset[1], height)
-        profile = state.motion.shape[1] > 1
-        edges[edge] = state.motion[:, start : start + length] if profile else state.motion
-    if pair.stiffness and any(beyond[edge] or state.outside for edge, state in states.items()):
-        raise InputError(
-            "stiffness: wants the whole sample in the region of interest; without it, estimate"
-            " the displacement alone"
-        )
+    place = Place.of(roi, _extent(pair, roi))
     sample = Sample(
-        height=extent[3],
-        width=extent[2],
+        height=place.whole[1],
+        width=place.whole[0],
         poisson_ratio=pair.poisson_ratio,
         plane=pair.plane,
         compression=0.0,
     )
-    background = _background(pair, sample, states, offset, (height, width))
-    return Scene(frames, dead, edges, background, sample)
+    texts = {edge: getattr(pair, edge) for edge in FACES}
+    states = {e: parse_edge(e, text, sample.shape, pair.pixel_size) for e, text in texts.items()}
+    edges = {}
+    for edge, state in states.items():
+        outside = place.inside_of(FACES[edge])
+        if state.motion is not None and not state.outside:
+            if outside:
+                raise InputError(
+                    f"{edge}: the sample's extent goes on beyond it; say 'outside {texts[edge]}'"
+                )
+            edges[edge] = place.part(FACES[edge], state.motion)
+        if pair.stiffness and (outside or state.outside):
+            raise InputError(
+                "stiffness: wants the whole sample in the region of interest; without it, estimate"
+                " the displacement alone"
+            )
+    background = _background(pair, sample, states, place)
+    return Scene(frames, Known(None, background, edges, dead, pair.pixel_size), sample)
 
 
 def _frames(pair: Pair) -> Array:
@@ -118,6 +93,18 @@ def _frames(pair: Pair) -> Array:
         if not np.isfinite(frames).all():
             raise InputError("intensity: log of an image that is zero everywhere")
     return frames
+
+
+def _roi(pair: Pair, shape: tuple[int, ...]) -> Region:
+    """Region of interest in images of a shape."""
+    height, width = shape
+    roi = x1, x2, columns, rows = pair.roi or (0, 0, width, height)
+    if x1 < 0 or x2 < 0 or x1 + columns > width or x2 + rows > height:
+        raise InputError(
+            f"roi: reaches from ({x1}, {x2}) to ({x1 + columns}, {x2 + rows}), outside of the"
+            f" image of {width} x {height} px (lateral x axial)"
+        )
+    return roi
 
 
 def _dead(pair: Pair, shape: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -139,7 +126,7 @@ def _dead(pair: Pair, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     return polygon2mask(shape, corners[:, ::-1])
 
 
-def _extent(pair: Pair, roi: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
+def _extent(pair: Pair, roi: Region) -> Region:
     """Where the sample is, px of the image; it holds the region of interest."""
     (e1, e2, e_width, e_height), (x1, x2, width, height) = pair.extent or roi, roi
     if e1 > x1 or e2 > x2 or e1 + e_width < x1 + width or e2 + e_height < x2 + height:
@@ -148,22 +135,18 @@ def _extent(pair: Pair, roi: tuple[int, int, int, int]) -> tuple[int, int, int, 
 
 
 def _background(
-    pair: Pair,
-    sample: Sample,
-    states: dict[Edge, EdgeState],
-    offset: tuple[int, int],
-    shape: tuple[int, int],
+    pair: Pair, sample: Sample, states: dict[Edge, EdgeState], place: Place
 ) -> Array | None:
-    """The background field of the region that begins at an offset in the sample."""
+    """The background field of the region of interest."""
+    (width, height), (x1, x2) = place.size, place.offset
     if pair.background == "none":
         return None
     if pair.background != "elastic":
-        return io.read_field(Path(pair.background), shape)
+        return io.read_field(Path(pair.background), (height, width))
     motion = {edge: state.motion for edge, state in states.items() if state.motion is not None}
     if not motion:
         raise InputError(
             "background: an elastic one wants an edge that is fixed or moved; say so of one"
         )
     u = deform(sample, motion, pixel_size=pair.pixel_size)
-    x1, x2 = offset
-    return u[:, x2 : x2 + shape[0], x1 : x1 + shape[1]]
+    return u[:, x2 : x2 + height, x1 : x1 + width]

@@ -1,16 +1,19 @@
 """The command ``eofm``: one subcommand per step, options named like the settings.
 
-Imports of the steps sit inside the subcommands, so that ``--help`` is instant.
+The signature of a step is its command line: files by position and by name, each said to be
+read or written, and sections of settings whose keys become options. Imports of the steps sit
+inside the functions, so that ``--help`` is instant.
 """
 
 import argparse
-import os
 import sys
 from collections.abc import Callable, Sequence
+from importlib.metadata import version
 from pathlib import Path
+from typing import Annotated
 
 from eofm import io
-from eofm.app.options import add_options, sections_of, settings_of
+from eofm.app.options import Files, add_files, add_options, arguments_of, reads, sections_of, writes
 from eofm.errors import InputError
 from eofm.settings import (
     Estimation,
@@ -19,10 +22,10 @@ from eofm.settings import (
     Pair,
     Phantom,
     Sample,
-    Section,
     Tracking,
     VirtualOct,
 )
+from eofm.threads import use_threads
 
 DESCRIPTION = """\
 Displacement of soft samples between an image before and one after compression.
@@ -34,46 +37,66 @@ Displacements are in px: page 1 of the TIFF is lateral (to the right), page 2 ax
 (down). Each step has a --help of its own.
 """
 
+Before = Annotated[Path, reads("image before compression (greyscale TIFF)")]
+After = Annotated[Path, reads("image after compression, of the same size")]
+Field = Annotated[Path, writes("field to write (TIFF)")]
+Bubbles = Annotated[Path | None, reads("table of tracked bubbles (CSV)")]
+Deviation = Annotated[Path | None, writes("field of standard deviations to write (TIFF)")]
 
-def forward(args: argparse.Namespace) -> None:
+
+def forward(sample: Sample, settings: Forward, *, output: Field) -> None:
     r"""True displacement of a sample with its inclusions.
 
     Linear elasticity: fixed on top, moved at the bottom, free on the sides.
 
-      eofm forward --output true.tif --compression 3 \
+      eofm forward --output true.tif --height 120 --width 200 --compression 3 \
           --inclusions '{"x1": 60, "x2": 80, "radius": 20, "stiffness": 5}'
     """
     from eofm.elasticity.forward import true_field
 
-    io.write_field(args.output, true_field(settings_of(Sample, args), settings_of(Forward, args)))
+    io.write_field(output, true_field(sample, settings))
 
 
-def background(args: argparse.Namespace) -> None:
+def background(sample: Sample, settings: Forward, *, output: Field) -> None:
     """Displacement of the same sample without inclusions.
 
     eofm background --output background.tif --height 200 --width 400 --compression 3
     """
     from eofm.elasticity.forward import background_field
 
-    io.write_field(
-        args.output, background_field(settings_of(Sample, args), settings_of(Forward, args))
-    )
+    io.write_field(output, background_field(sample, settings))
 
 
-def phantom(args: argparse.Namespace) -> None:
+def phantom(
+    displacement: Annotated[Path, reads("true field (TIFF)")],
+    settings: Phantom,
+    *,
+    reference: Annotated[Path, writes("image before compression to write (TIFF)")],
+    deformed: Annotated[Path, writes("image after compression to write (TIFF)")],
+    table: Annotated[Path, writes("table of the true bubbles to write (CSV)")],
+) -> None:
     """Images of a sample full of bubbles, before and after a displacement.
 
     eofm phantom true.tif --reference before.tif --deformed after.tif --table true.csv
     """
     from eofm.simulation.phantom import make_phantom
 
-    I1, I2, bubbles = make_phantom(io.read_field(args.displacement), settings_of(Phantom, args))
-    io.write_image(args.reference, I1)
-    io.write_image(args.deformed, I2)
-    io.write_table(args.table, bubbles)
+    I1, I2, bubbles = make_phantom(io.read_field(displacement), settings)
+    io.write_image(reference, I1)
+    io.write_image(deformed, I2)
+    io.write_table(table, bubbles)
 
 
-def virtual_oct(args: argparse.Namespace) -> None:
+def virtual_oct(
+    displacement: Annotated[Path, reads("true field of the whole sample (TIFF)")],
+    homogeneous: Annotated[Path, reads("its background field (TIFF)")],
+    settings: VirtualOct,
+    *,
+    reference: Annotated[Path, writes("tomogram before compression to write (TIFF)")],
+    deformed: Annotated[Path, writes("tomogram after compression to write (TIFF)")],
+    truth: Annotated[Path, writes("true field in the region of interest to write (TIFF)")],
+    background: Annotated[Path, writes("background field in the region to write (TIFF)")],
+) -> None:
     r"""OCT tomograms of the inside of a sample, before and after a displacement.
 
       eofm virtual-oct true.tif background.tif --reference before.tif --deformed after.tif \
@@ -83,15 +106,22 @@ def virtual_oct(args: argparse.Namespace) -> None:
     """
     from eofm.simulation.virtual_oct import make_tomograms
 
-    u = io.read_field(args.displacement)
-    found = make_tomograms(u, io.read_field(args.homogeneous), settings_of(VirtualOct, args))
-    io.write_image(args.reference, found.I1)
-    io.write_image(args.deformed, found.I2)
-    io.write_field(args.truth, found.truth)
-    io.write_field(args.background, found.background)
+    u, u_bg = io.read_field(displacement), io.read_field(homogeneous)
+    experiment = make_tomograms(u, u_bg, settings)
+    io.write_image(reference, experiment.I1)
+    io.write_image(deformed, experiment.I2)
+    io.write_field(truth, experiment.truth)
+    io.write_field(background, experiment.background)
 
 
-def track(args: argparse.Namespace) -> None:
+def track(
+    reference: Before,
+    deformed: After,
+    settings: Tracking,
+    *,
+    output: Annotated[Path, writes("table to write (CSV)")],
+    prediction: Annotated[Path | None, reads("field that predicts the motion (TIFF)")] = None,
+) -> None:
     """Follow large speckle formations (bubbles) from one image to the next.
 
       eofm track before.tif after.tif --output bubbles.csv
@@ -102,13 +132,21 @@ def track(args: argparse.Namespace) -> None:
     """
     from eofm.imaging.bubbles import track
 
-    settings = settings_of(Tracking, args)
-    I1, I2 = io.read_pair(args.reference, args.deformed)
-    prediction = args.prediction and io.read_field(args.prediction, I1.shape)
-    io.write_table(args.output, track(I1, I2, settings, prediction=prediction))
+    I1, I2 = io.read_pair(reference, deformed)
+    expected = io.read_field(prediction, I1.shape) if prediction else None
+    io.write_table(output, track(I1, I2, settings, prediction=expected))
 
 
-def estimate(args: argparse.Namespace) -> None:
+def estimate(
+    reference: Before,
+    deformed: After,
+    settings: Estimation,
+    *,
+    output: Field,
+    bubbles: Bubbles = None,
+    background: Annotated[Path | None, reads("background field (TIFF)")] = None,
+    deviation: Deviation = None,
+) -> None:
     r"""Displacement between two images by elastographic optical flow.
 
       eofm estimate before.tif after.tif --bubbles bubbles.csv --output displacement.tif
@@ -125,24 +163,35 @@ def estimate(args: argparse.Namespace) -> None:
     --deviation writes the standard deviation of u1 and u2 at each pixel.
     """
     from eofm.flow.estimate import estimate_displacement
+    from eofm.flow.known import Known
 
-    settings = settings_of(Estimation, args)
-    I1, I2 = io.read_pair(args.reference, args.deformed)
-    found = estimate_displacement(
-        I1,
-        I2,
-        settings,
-        bubbles=args.bubbles and io.read_bubbles(args.bubbles),
-        background=args.background and io.read_field(args.background, I1.shape),
-        progress=True,
+    I1, I2 = io.read_pair(reference, deformed)
+    known = Known(
+        bubbles=io.read_bubbles(bubbles) if bubbles else None,
+        background=io.read_field(background, I1.shape) if background else None,
     )
-    deviation = args.deviation and found.deviation()
-    io.write_field(args.output, found.u)
-    if args.deviation:
-        io.write_field(args.deviation, deviation)
+    estimate = estimate_displacement(I1, I2, settings, known, progress=True)
+    bars = estimate.deviation() if deviation else None
+    io.write_field(output, estimate.u)
+    if deviation and bars is not None:
+        io.write_field(deviation, bars)
 
 
-def stiffness(args: argparse.Namespace) -> None:
+def stiffness(
+    reference: Before,
+    deformed: After,
+    sample: Sample,
+    settings: Identification,
+    estimation: Estimation,
+    *,
+    output: Annotated[Path, writes("relative modulus to write (TIFF)")],
+    displacement: Field,
+    bubbles: Bubbles = None,
+    deviation: Deviation = None,
+    stiffness_deviation: Annotated[
+        Path | None, writes("standard deviation of log E to write (TIFF)")
+    ] = None,
+) -> None:
     r"""Young's modulus relative to the background, and the displacement that goes with it.
 
       eofm stiffness before.tif after.tif --output E.tif --displacement u.tif \
@@ -153,25 +202,29 @@ def stiffness(args: argparse.Namespace) -> None:
     sample, px, and --stiffness-deviation that of log E. The search ends when a step gains less than
     --least-gain, or after --iterations steps.
     """
+    from eofm.flow.known import Known
     from eofm.identification.stiffness import identify_stiffness
     from eofm.identification.uncertainty import deviations
 
-    sample, settings = settings_of(Sample, args), settings_of(Identification, args)
-    estimation = settings_of(Estimation, args)
-    I1, I2 = io.read_pair(args.reference, args.deformed)
-    bubbles = args.bubbles and io.read_bubbles(args.bubbles)
-    found = identify_stiffness(I1, I2, sample, settings, estimation, bubbles=bubbles, progress=True)
-    bars = deviations(found) if args.deviation or args.stiffness_deviation else None
-    io.write_image(args.output, found.E)
-    io.write_field(args.displacement, found.estimate.u)
-    if bars and args.deviation:
-        io.write_field(args.deviation, bars[0])
-    if bars and args.stiffness_deviation:
-        io.write_image(args.stiffness_deviation, bars[1])
-    print(found.summary())
+    I1, I2 = io.read_pair(reference, deformed)
+    known = Known(bubbles=io.read_bubbles(bubbles) if bubbles else None)
+    identified = identify_stiffness(I1, I2, sample, settings, estimation, known, progress=True)
+    bars = deviations(identified) if deviation or stiffness_deviation else None
+    io.write_image(output, identified.E)
+    io.write_field(displacement, identified.estimate.u)
+    if bars and deviation:
+        io.write_field(deviation, bars[0])
+    if bars and stiffness_deviation:
+        io.write_image(stiffness_deviation, bars[1])
+    print(identified.summary())
 
 
-def evaluate(args: argparse.Namespace) -> None:
+def evaluate(
+    estimate: Annotated[Path, reads("estimated field (TIFF)")],
+    truth: Annotated[Path, reads("true field (TIFF)")],
+    *,
+    output: Annotated[Path, writes("table to write (CSV)")],
+) -> None:
     """Relative errors (percent) and largest errors (px) of an estimated field.
 
     eofm evaluate displacement.tif true.tif --output errors.csv
@@ -180,13 +233,21 @@ def evaluate(args: argparse.Namespace) -> None:
 
     from eofm.analysis.metrics import relative_errors
 
-    truth = io.read_field(args.truth)
-    found = relative_errors(io.read_field(args.estimate, truth.shape[1:]), truth)
-    io.write_table(args.output, pd.DataFrame([found]))
-    print("  ".join(f"{name} {value:.2f}" for name, value in found.items()))
+    u = io.read_field(truth)
+    errors = relative_errors(io.read_field(estimate, u.shape[1:]), u)
+    io.write_table(output, pd.DataFrame([errors]))
+    print("  ".join(f"{name} {value:.2f}" for name, value in errors.items()))
 
 
-def sample(args: argparse.Namespace) -> None:
+def sample(
+    pair: Pair,
+    tracking: Tracking,
+    estimation: Estimation,
+    identification: Identification,
+    *,
+    folder: Annotated[Path, writes("folder to write the results to")],
+    settings: Annotated[Path | None, reads("file of settings (YAML)")] = None,
+) -> None:
     r"""Everything for one pair of images: displacement, strain, quality, figures.
 
       eofm sample --reference before.tif --deformed after.tif --folder results/mine \
@@ -198,120 +259,60 @@ def sample(args: argparse.Namespace) -> None:
     of a sample that is wholly in the image. Edges of which nothing is said are free. Settings may
     come from a file (YAML, names as the options') where they are many; options win.
     """
-    if args.folder.is_file():
-        raise InputError(f"{args.folder}: is a file; name a folder")
+    if folder.is_file():
+        raise InputError(f"{folder}: is a file; name a folder")
     from eofm.analysis.analyse import analyse
-    from eofm.analysis.report import write_results
+    from eofm.analysis.scene import read_scene
 
-    given = io.read_settings(args.settings) if args.settings else {}
-    pair, *settings = sections_of(ANALYSIS, given, args)
     try:
-        results = analyse(pair, *settings, progress=True)
+        scene = read_scene(pair)
+        results = analyse(
+            *scene.frames,
+            known=scene.known,
+            sample=scene.sample,
+            measures=pair,
+            tracking=tracking,
+            estimation=estimation,
+            identification=identification,
+            progress=True,
+        )
     except InputError as error:
-        raise InputError(f"{args.folder.name}: {error}") from None
-    args.folder.mkdir(parents=True, exist_ok=True)
-    write_results(results, pair, args.folder)
+        raise InputError(f"{folder.name}: {error}") from None
+    folder.mkdir(parents=True, exist_ok=True)
+    results.write(folder, pair.files)
 
 
-ANALYSIS: list[type[Section]] = [Pair, Tracking, Estimation, Identification]
+# Settings of everything for one pair, the columns of a table of samples.
+ANALYSIS = tuple(sections_of(sample).values())
 
-PAIR = {
-    "reference": "image before compression (greyscale TIFF)",
-    "deformed": "image after compression, of the same size",
-}
-
-# Of each step: what it reads, by position; what it writes, by name in capitals, and may
-# read, by name; its settings.
-STEPS: dict[Callable[..., None], tuple[dict[str, str], dict[str, str], list[type[Section]]]] = {
-    forward: ({}, {"OUTPUT": "field to write (TIFF)"}, [Sample, Forward]),
-    background: ({}, {"OUTPUT": "field to write (TIFF)"}, [Sample, Forward]),
-    phantom: (
-        {"displacement": "true field (TIFF)"},
-        {
-            "REFERENCE": "image before compression to write (TIFF)",
-            "DEFORMED": "image after compression to write (TIFF)",
-            "TABLE": "table of the true bubbles to write (CSV)",
-        },
-        [Phantom],
-    ),
-    virtual_oct: (
-        {
-            "displacement": "true field of the whole sample (TIFF)",
-            "homogeneous": "its background field (TIFF)",
-        },
-        {
-            "REFERENCE": "tomogram before compression to write (TIFF)",
-            "DEFORMED": "tomogram after compression to write (TIFF)",
-            "TRUTH": "true field in the region of interest to write (TIFF)",
-            "BACKGROUND": "background field in the region of interest to write (TIFF)",
-        },
-        [VirtualOct],
-    ),
-    track: (
-        PAIR,
-        {"OUTPUT": "table to write (CSV)", "prediction": "field that predicts the motion (TIFF)"},
-        [Tracking],
-    ),
-    estimate: (
-        PAIR,
-        {
-            "OUTPUT": "field to write (TIFF)",
-            "bubbles": "table of tracked bubbles (CSV)",
-            "background": "background field (TIFF)",
-            "deviation": "field of standard deviations to write (TIFF)",
-        },
-        [Estimation],
-    ),
-    sample: (
-        {},
-        {"FOLDER": "folder to write the results to", "settings": "file of settings (YAML)"},
-        ANALYSIS,
-    ),
-    stiffness: (
-        PAIR,
-        {
-            "OUTPUT": "relative modulus to write (TIFF)",
-            "DISPLACEMENT": "field to write (TIFF)",
-            "bubbles": "table of tracked bubbles (CSV)",
-            "deviation": "field of standard deviations to write (TIFF)",
-            "stiffness_deviation": "standard deviation of log E to write (TIFF)",
-        },
-        [Sample, Identification, Estimation],
-    ),
-    evaluate: (
-        {"estimate": "estimated field (TIFF)", "truth": "true field (TIFF)"},
-        {"OUTPUT": "table to write (CSV)"},
-        [],
-    ),
-}
-
-
-# Files that are written, so that their folders can be checked before any work.
-WRITTEN = {name for _, files, _ in STEPS.values() for name in files if name.isupper()}
-WRITTEN = WRITTEN - {"FOLDER"} | {"deviation", "stiffness_deviation"}
+STEPS: tuple[Callable[..., None], ...] = (
+    forward,
+    background,
+    phantom,
+    virtual_oct,
+    track,
+    estimate,
+    sample,
+    stiffness,
+    evaluate,
+)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one step; 0 if it worked, 1 if its input cannot be used, 2 for wrong usage."""
     args = _parser().parse_args(argv)
-    # Compiled loops take as many threads as the workflow gives a job.
-    os.environ.setdefault("NUMBA_NUM_THREADS", os.environ.get("OMP_NUM_THREADS", "1"))
+    name = _name(args.step)
     try:
-        written: list[Path] = []
-        for name in STEPS[args.step][1]:
-            path = getattr(args, name.lower())
-            if path and name in WRITTEN:
-                io.check_folder(path)
-                if path in written:
-                    raise InputError(f"{path}: is named for two results; give each its own file")
-                written.append(path)
-        args.step(args)
+        use_threads(args.threads)
+        given = arguments_of(args.step, args)
+        Files.of(args.step, given).check()
+        args.step(**given)
     except (InputError, OSError) as error:
-        print(f"eofm {_name(args.step)}: {error}", file=sys.stderr)
+        print(f"eofm {name}: {error}", file=sys.stderr)
         return 1
     except MemoryError:
         print(
-            f"eofm {_name(args.step)}: not enough memory for such sizes; use smaller images,"
+            f"eofm {name}: not enough memory for such sizes; use smaller images,"
             " windows or regions, or larger elements",
             file=sys.stderr,
         )
@@ -328,8 +329,9 @@ def _name(step: Callable[..., None]) -> str:
 def _parser() -> argparse.ArgumentParser:
     formatter = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser("eofm", description=DESCRIPTION, formatter_class=formatter)
+    parser.add_argument("--version", action="version", version=f"eofm {version('eofm')}")
     steps = parser.add_subparsers(title="steps", metavar="STEP", required=True)
-    for step, (positions, files, sections) in STEPS.items():
+    for step in STEPS:
         summary, _, rest = (step.__doc__ or "").partition("\n")
         text = "\n".join(line.removeprefix("    ") for line in rest.splitlines())
         sub = steps.add_parser(
@@ -339,13 +341,14 @@ def _parser() -> argparse.ArgumentParser:
             formatter_class=formatter,
         )
         sub.set_defaults(step=step)
-        for name, help in positions.items():
-            sub.add_argument(name, type=Path, help=help)
-        for name, help in files.items():
-            option = f"--{name.lower().replace('_', '-')}"
-            sub.add_argument(option, type=Path, metavar="FILE", required=name.isupper(), help=help)
-        for section in sections:
-            add_options(sub.add_argument_group(section.__name__.lower()), section)
+        add_files(sub, step)
+        sub.add_argument(
+            "--threads",
+            type=int,
+            metavar="N",
+            help="cores to use (default: all); results do not depend on it",
+        )
+        add_options(sub, step)
     return parser
 
 

@@ -1,35 +1,126 @@
-"""Command-line options made from the typed settings, and settings made from options."""
+"""Command lines made from the signatures of steps, and arguments of steps from command lines.
+
+A parameter of a step is a file, annotated by :func:`reads` or :func:`writes`, or a section of
+settings, each of whose keys becomes an option. Files without a default are required: those
+before the sections by position, the others by name.
+"""
 
 import argparse
+import inspect
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import Any, TypeVar
+from pathlib import Path
+from typing import Any, get_args
 
+from eofm import io
 from eofm.errors import InputError
 from eofm.settings import PAPER, Estimation, Section
 
-S = TypeVar("S", bound=Section)
+Step = Callable[..., None]
 
 # Values for which help and tables say none.
 NONE = (None, ())
 
 
-def add_options(group: argparse._ArgumentGroup, section: type[Section]) -> None:
-    """Add an option for every key of a section."""
-    for name, field in section.model_fields.items():
-        default = field.get_default()
-        shown = " ".join(map(str, default)) if isinstance(default, tuple) else default
-        group.add_argument(
-            f"--{name.replace('_', '-')}",
-            metavar="VALUE",
-            nargs="*" if section.takes_many(name) else None,
-            type=parse_optional if default in NONE else parse_value,
-            default=argparse.SUPPRESS,
-            help=f"{field.description} (default: {'none' if shown in ('', None) else shown}"
-            + (f"; paper: {PAPER[name]}" if section is Estimation and name in PAPER else "")
-            + ")",
-        )
+@dataclass(frozen=True)
+class File:
+    """What a file of a step is for, and whether the step writes it."""
+
+    help: str
+    written: bool
+
+
+def reads(help: str) -> File:
+    """Annotation of a file that a step reads."""
+    return File(help, written=False)
+
+
+def writes(help: str) -> File:
+    """Annotation of a file, or of the folder, that a step writes."""
+    return File(help, written=True)
+
+
+def files_of(step: Step) -> dict[str, File]:
+    """Files of a step by the names of its parameters."""
+    parameters = inspect.signature(step).parameters.items()
+    said = {name: get_args(p.annotation)[1:] for name, p in parameters}
+    return {name: notes[0] for name, notes in said.items() if notes}
+
+
+def sections_of(step: Step) -> dict[str, type[Section]]:
+    """Sections of settings of a step by the names of its parameters."""
+    parameters = inspect.signature(step).parameters.items()
+    return {name: p.annotation for name, p in parameters if isinstance(p.annotation, type)}
+
+
+@dataclass(frozen=True)
+class Files:
+    """Files that were named for a step."""
+
+    read: list[Path]
+    written: list[Path]
+
+    @classmethod
+    def of(cls, step: Step, given: Mapping[str, Any]) -> "Files":
+        """Return those among the arguments of a step."""
+        named = [(file, given[name]) for name, file in files_of(step).items() if given[name]]
+        read = [path for file, path in named if not file.written]
+        return cls(read, [path for file, path in named if file.written])
+
+    def check(self) -> None:
+        """Refuse, before any work, what could not be written or would overwrite what is read.
+
+        Raises
+        ------
+        InputError
+            If a folder does not exist, a name stands for two results, or for a file that is read.
+        """
+        taken: dict[Path, str] = {path.resolve(): "read" for path in self.read}
+        for path in self.written:
+            io.check_folder(path)
+            use = taken.setdefault(path.resolve(), "written")
+            if use == "read":
+                raise InputError(f"{path}: is read; name another file to write")
+            if list(map(Path.resolve, self.written)).count(path.resolve()) > 1:
+                raise InputError(f"{path}: is named for two results; give each its own file")
+
+
+def add_files(parser: argparse.ArgumentParser, step: Step) -> None:
+    """Add the files of a step to its parser."""
+    parameters = inspect.signature(step).parameters
+    for name, file in files_of(step).items():
+        parameter = parameters[name]
+        if parameter.kind is parameter.KEYWORD_ONLY:
+            option, required = f"--{name.replace('_', '-')}", parameter.default is parameter.empty
+            parser.add_argument(
+                option, type=Path, metavar="FILE", required=required, help=file.help
+            )
+        else:
+            parser.add_argument(name, type=Path, help=file.help)
+
+
+def add_options(parser: argparse.ArgumentParser, step: Step) -> None:
+    """Add an option for every key of the sections of a step."""
+    for section in sections_of(step).values():
+        group = parser.add_argument_group(section.__name__.lower())
+        for name, field in section.model_fields.items():
+            default = field.get_default()
+            shown = " ".join(map(str, default)) if isinstance(default, tuple) else default
+            note = f"default: {'none' if shown in ('', None) else shown}"
+            if field.is_required():
+                note = "required"
+            elif section is Estimation and name in PAPER:
+                note += f"; paper: {PAPER[name]}"
+            group.add_argument(
+                f"--{name.replace('_', '-')}",
+                metavar="VALUE",
+                nargs="*" if section.takes_many(name) else None,
+                type=parse_optional if default in NONE else parse_value,
+                default=argparse.SUPPRESS,
+                help=f"{field.description} ({note})",
+            )
 
 
 def parse_value(text: str) -> Any:
@@ -45,35 +136,42 @@ def parse_optional(text: str) -> Any:
     return None if text == "none" else parse_value(text)
 
 
-def settings_of(section: type[S], args: argparse.Namespace) -> S:
-    """Checked settings of a section from the options given."""
-    return section.parse(_given([section], args), section.__name__.lower())
+def arguments_of(step: Step, args: argparse.Namespace) -> dict[str, Any]:
+    """Arguments of a step: its files, and its sections checked.
+
+    Where a step has a file of ``settings``, they come from there too; options win.
+
+    Raises
+    ------
+    InputError
+        If a value is wrong, or a key of the file is unknown.
+    """
+    files, sections = files_of(step), sections_of(step)
+    arguments = {name: getattr(args, name) for name in files}
+    source, given = arguments.get("settings"), {}
+    if source is not None:
+        given = io.read_settings(source)
+        _check_keys(given, sections, source)
+    for name, section in sections.items():
+        values = {key: given[key] for key in section.model_fields if key in given}
+        where = source or section.__name__.lower()
+        arguments[name] = section.parse(values | _given(section, args), str(where))
+    return arguments
 
 
-def sections_of(
-    sections: list[type[Section]], given: dict[str, Any], args: argparse.Namespace
-) -> list[Any]:
-    """Settings whose names do not clash, from a file and from options; options win."""
-    known = {name for section in sections for name in section.model_fields}
-    given = given | _given(sections, args)
-    for name in given.keys() - known:
-        close = get_close_matches(name, sorted(known), 1)
+def _check_keys(given: dict[str, Any], sections: dict[str, type[Section]], source: Path) -> None:
+    known = sorted({key for section in sections.values() for key in section.model_fields})
+    for key in given.keys() - known:
+        close = get_close_matches(key, known, 1)
         hint = f"; did you mean {close[0]}?" if close else ""
-        raise InputError(f"{args.settings}: unknown key {name}{hint}")
-    return [
-        section.parse(
-            {k: v for k, v in given.items() if k in section.model_fields}, args.folder.name
-        )
-        for section in sections
-    ]
+        raise InputError(f"{source}: unknown key {key}{hint}")
 
 
-def _given(sections: Sequence[type[Section]], args: argparse.Namespace) -> dict[str, Any]:
-    """Values of the options that belong to some sections."""
-    given = {}
-    for section in sections:
-        for name, field in section.model_fields.items():
-            if hasattr(args, name):
-                value, default = getattr(args, name), field.get_default()
-                given[name] = default if value == [None] and default in NONE else value
-    return given
+def _given(section: type[Section], args: argparse.Namespace) -> dict[str, Any]:
+    """Values of the options of a section that were named."""
+    values = {}
+    for name, field in section.model_fields.items():
+        if hasattr(args, name):
+            value, default = getattr(args, name), field.get_default()
+            values[name] = default if value == [None] and default in NONE else value
+    return values

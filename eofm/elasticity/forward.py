@@ -24,7 +24,7 @@ from skfem import (
 )
 from skfem.helpers import ddot, div, sym_grad
 
-from eofm.grid import FACES, Array, Edge, Grid, along_edge, unit_spacing
+from eofm.grid import FACES, Array, Edge, Grid, along_edge, componentwise, unit_spacing
 from eofm.settings import Forward, Sample
 
 Spacing = tuple[float, float]
@@ -103,7 +103,7 @@ def deform(
     ndarray, shape (2, height, width)
         At the pixel centres, px.
     """
-    sample = sample.model_copy(update={"inclusions": ()})
+    sample = sample.changed(inclusions=())
     spacing = unit_spacing(pixel_size)
     coarse = np.full((2, *sample.shape), np.inf)
     for cells in MESHES:
@@ -165,7 +165,7 @@ def stiffness_matrix(basis: Basis, sample: Sample, spacing: Spacing = (1.0, 1.0)
     keeps biquadratic elements free of locking as nu goes to 1/2 (Malkus and Hughes,
     Comput. Methods Appl. Mech. Eng. 15, 1978).
     """
-    pixel = np.reshape(spacing, (2, 1, 1))
+    pixel = componentwise(spacing, 2)
 
     @BilinearForm
     def shear(u: Any, v: Any, w: Any) -> Any:

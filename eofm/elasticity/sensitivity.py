@@ -67,7 +67,7 @@ class Elastic:
         Nodes are ordered as (row, column) = (0, 0), (0, 1), (1, 0), (1, 1), u1 before u2. The
         four incompatible modes are eliminated, which leaves E a factor of the whole.
         """
-        plain = self.sample.model_copy(update={"inclusions": ()})
+        plain = self.sample.changed(inclusions=())
         lam, mu = (float(c) for c in lame(plain, np.zeros(2)))
         D = np.array([[lam + 2 * mu, lam, 0], [lam, lam + 2 * mu, 0], [0, 0, mu]])
         B = self._strains

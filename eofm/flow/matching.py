@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from eofm.flow.functional import Pointwise, data_term
-from eofm.grid import Array, Grid, Mask
+from eofm.grid import Array, Grid, Mask, componentwise
 from eofm.imaging.gaussian import blur
 from eofm.imaging.splines import Spline, gradient
 
@@ -128,7 +128,7 @@ class ImagePair:
 
     def linearise(self, u: Array) -> Match:
         """Return the images linearised about a displacement."""
-        samples = u / np.reshape(self.grid.spacing, (2, 1, 1))
+        samples = u / componentwise(self.grid.spacing, 2)
         if self.mean:
             warped, g, inside = self._spline.warp_with_gradient(samples, self.grid.spacing)
             g += self._gradient

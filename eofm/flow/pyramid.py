@@ -1,15 +1,14 @@
-"""Coarse to fine: one driver for any solver of a linearised flow problem."""
+"""Coarse to fine: grids that share corners, and images sampled on them."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from math import ceil
 
-import numpy as np
 from tqdm import tqdm
 
 from eofm.errors import InputError
 from eofm.grid import Array, Grid
-from eofm.imaging.splines import Spline, resize_field
+from eofm.imaging.splines import Spline
 
 # Fewer samples than this along a side say nothing about a displacement.
 SMALLEST = 4
@@ -70,46 +69,7 @@ def solving(grid: Grid, progress: bool) -> Iterator[Callable[[int, float], None]
         yield report
 
 
-def coarse_to_fine(
-    I1: Array,
-    I2: Array,
-    improve: Callable[[Grid, Array, Array, Array], Array],
-    grids: Sequence[Grid],
-    *,
-    start: Array | None = None,
-    progress: bool = False,
-) -> Array:
-    """Displacement found on the coarsest grid first and improved on each finer one.
-
-    Parameters
-    ----------
-    I1, I2 : ndarray, shape (height, width)
-        Images before and after compression.
-    improve : callable
-        ``improve(grid, I1, I2, u)`` returns a better displacement than ``u`` for the
-        images sampled on ``grid``, in the unit of its spacing.
-    grids : sequence of Grid
-        From coarse to fine, as `pyramid` returns them.
-    start : ndarray, shape (2, height, width), optional
-        Displacement to begin with; zero by default.
-    progress : bool
-        Show a progress bar, if standard error is a terminal.
-
-    Returns
-    -------
-    ndarray, shape (2, height, width)
-        In the unit of the grids' spacing.
-    """
-    u = np.zeros((2, *I1.shape)) if start is None else start
-    u = resize_field(u, grids[0].shape)
-    images = zip(_sampled(I1, grids), _sampled(I2, grids), strict=True)
-    bar = tqdm(grids, "scales", disable=None if progress else True)
-    for grid, (J1, J2) in zip(bar, images, strict=True):
-        u = improve(grid, J1, J2, resize_field(u, grid.shape))
-    return u
-
-
-def _sampled(I: Array, grids: Sequence[Grid]) -> list[Array]:
+def sampled(I: Array, grids: Sequence[Grid]) -> list[Array]:
     """The image on grids from coarse to fine, the last of which is its own."""
     spline = Spline(I)
     return [*(spline.resize(grid.shape) for grid in grids[:-1]), I]

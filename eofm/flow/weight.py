@@ -6,6 +6,8 @@ truth, and works for few bubbles on black, where most residuals come from the mo
 for dense speckle, where they are noise.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
@@ -14,6 +16,7 @@ from eofm.flow.functional import Pointwise, Quadratic
 from eofm.flow.matching import BLOCK, Match, held_out
 from eofm.flow.multigrid import multigrid
 from eofm.grid import Array, Grid
+from eofm.settings import ALPHA
 
 # Samples over which the first weight smooths.
 REACH = 8.0
@@ -40,6 +43,16 @@ def first_alpha(match: Match) -> float:
     """
     reach = REACH * float(np.sqrt(np.prod(match.grid.spacing)))
     return (match.strength + np.finfo(float).tiny) * reach**4
+
+
+def combined(chosen: Sequence[float]) -> float | None:
+    """Weight for which scales ask that have chosen some, from coarse to fine; None without any.
+
+    That of the finest is taken or, where another is larger, their geometric mean: residuals that
+    are correlated, as those of decorrelated speckle are, make cross-validation choose too
+    little smoothing (Opsomer, Wang and Yang, Stat. Sci. 16, 2001), least so on coarser scales.
+    """
+    return float(np.sqrt(chosen[-1] * max(chosen))) if chosen else None
 
 
 def enough(shape: tuple[int, ...]) -> bool:
@@ -91,7 +104,7 @@ def choose_alpha(
     left, middle, right = (misfit(j) for j in (k - 1, k, k + 1))
     curvature = left - 2 * middle + right
     shift = 0.5 * (left - right) / curvature if 0 < curvature < np.inf else 0.0
-    return float(start * STEP ** (k + shift))
+    return float(np.clip(start * STEP ** (k + shift), *ALPHA))
 
 
 class _Trial:

@@ -160,7 +160,7 @@ def choose_gamma(
         The pixels held out in turn.
     """
     low, gamma = settings.gamma_range
-    rough = settings.model_copy(update={"least_gain": COMPARED * settings.least_gain})
+    rough = settings.changed(least_gain=COMPARED * settings.least_gain)
     parts = [problem(~out) for out in folds]
     m = [np.zeros(part.model.shape) for part in parts]
 

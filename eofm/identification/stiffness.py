@@ -14,7 +14,7 @@ background field of the next estimate, until the field settles.
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,14 +25,15 @@ from eofm.elasticity.sensitivity import Elastic
 from eofm.errors import InputError
 from eofm.flow.estimate import Estimate, estimate_displacement
 from eofm.flow.functional import Pointwise
+from eofm.flow.known import Known
 from eofm.flow.matching import held_out
-from eofm.grid import FACES, Array, Edge, unit_spacing
+from eofm.grid import FACES, Array, Edge, componentwise, unit_spacing
 from eofm.identification.inversion import LARGEST, Problem, Report, choose_gamma, gauss_newton
 from eofm.settings import Estimation, Identification, Sample
 from eofm.threads import serial
 
 if TYPE_CHECKING:
-    import pandas as pd
+    pass
 
 
 # Contradictions smaller than this are none, px.
@@ -103,11 +104,8 @@ def identify_stiffness(
     sample: Sample,
     settings: Identification = Identification(),
     estimation: Estimation = Estimation(),
+    known: Known = Known(),
     *,
-    edges: dict[Edge, Array] | None = None,
-    bubbles: "pd.DataFrame | None" = None,
-    dead: NDArray[np.bool_] | None = None,
-    pixel_size: tuple[float, float] = (1.0, 1.0),
     progress: bool = False,
 ) -> Stiffness:
     """Relative modulus of a sample whose edges move in a known way, and test 6.
@@ -121,15 +119,9 @@ def identify_stiffness(
     settings : Identification
     estimation : Estimation
         How the displacement is estimated.
-    edges : dict of ndarray, shape (2, n), optional
-        Known motion of edges, px (n = 1: constant); by default the top is fixed and the
-        bottom moves up by the sample's compression.
-    bubbles : DataFrame, optional
-        Tracked bubbles, see `estimate_displacement`.
-    dead : ndarray of bool, shape (height, width), optional
-        Pixels that carry no data, in both images.
-    pixel_size : (lateral, axial)
-        Sides of a pixel in any unit.
+    known : Known
+        Bubbles, dead zones, size of the pixels, and the motion of edges; without any, the top
+        is fixed and the bottom moves up by the sample's compression. Its background is not used.
     progress : bool
         Show a progress bar, if standard error is a terminal.
 
@@ -147,9 +139,9 @@ def identify_stiffness(
     The weight gamma is divided by 3 until that no longer clearly lowers the misfit on
     held-out pixels, see `choose_gamma`; each fit is the start of the next.
     """
-    motion = press(sample) if edges is None else edges
+    motion = dict(known.edges) or press(sample)
+    pixel_size = known.pixel_size
     _check(I1, I2, sample, motion)
-    known: dict[str, Any] = {"bubbles": bubbles, "dead": dead, "pixel_size": pixel_size}
     slip = sample.contact == "slip"
     u_bg = deform(sample, motion, pixel_size=pixel_size, slip=slip)
     bar = tqdm(desc="stiffness", unit="step", disable=None if progress else True)
@@ -158,18 +150,20 @@ def identify_stiffness(
         bar.update()
         bar.set_postfix_str(f"gamma {gamma:.2g}, step {step}, gain {gain:.3g}")
 
-    blind = estimation.model_copy(update={"zero_edges": ()})
-    free = estimate_displacement(I1, I2, blind, background=u_bg, **known)
+    blind = estimation.changed(zero_edges=())
+    free = estimate_displacement(I1, I2, blind, replace(known, background=u_bg, edges={}))
     scale = _scale(free, u_bg, motion, settings)
     motion, u_bg = {edge: scale * g for edge, g in motion.items()}, scale * u_bg
     # A contact that slips leaves the motion along the edge open.
-    known["edges"] = None if slip else motion
-    estimate = estimate_displacement(I1, I2, estimation, background=u_bg, **known)
+    known = replace(known, edges={} if slip else motion)
+    estimate = estimate_displacement(I1, I2, estimation, replace(known, background=u_bg))
     found: Stiffness | None = None
     for rounds in range(1, settings.rounds + 1):
         found = _identify(sample, motion, u_bg, estimate, settings, pixel_size, found, report)
         last = estimate.u
-        estimate = estimate_displacement(I1, I2, estimation, background=found.elastic, **known)
+        estimate = estimate_displacement(
+            I1, I2, estimation, replace(known, background=found.elastic)
+        )
         change = float(np.linalg.norm(estimate.u - last) / np.linalg.norm(last))
         found = replace(found, estimate=estimate, scale=scale, rounds=rounds, change=change)
         if change <= settings.settled:
@@ -191,7 +185,7 @@ def _identify(
 ) -> Stiffness:
     """The sample that fits the images, linearised about an estimate."""
     spacing = unit_spacing(pixel_size)
-    h = np.reshape(spacing, (2, 1, 1))
+    h = componentwise(spacing, 2)
     match = estimate.match
     cell = settings.cell or max(SMALLEST, np.sqrt(match.r.size / ELEMENTS))
     true_lengths = {edge: h[..., 0] * g for edge, g in motion.items()}

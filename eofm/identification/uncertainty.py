@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from eofm.flow.matching import random_signs
-from eofm.grid import Array
+from eofm.grid import Array, componentwise
 from eofm.identification.inversion import slope
 from eofm.identification.stiffness import Stiffness
 from eofm.threads import serial
@@ -52,5 +52,5 @@ def deviations(found: Stiffness, *, samples: int = 32, seed: int = 0) -> tuple[A
         d = slope(m) * solve(right)
         squares_u = squares_u + state.derivative(d) ** 2
         squares_E = squares_E + problem.model.elements_to_pixels(d - np.median(d)) ** 2
-    squares_u /= np.reshape(problem.model.spacing, (2, 1, 1)) ** 2
+    squares_u /= componentwise(problem.model.spacing, 2) ** 2
     return np.sqrt(squares_u / samples), np.sqrt(squares_E / samples)

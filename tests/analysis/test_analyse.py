@@ -11,9 +11,7 @@ import tifffile
 from scipy.io import savemat
 
 import eofm
-from eofm.analysis.analyse import analyse
-from eofm.analysis.report import write_results
-from eofm.analysis.scene import prepare
+from eofm.analysis.scene import read_scene
 from eofm.imaging.splines import evaluate_field, resize
 from eofm.settings import Estimation, Pair, Tracking
 
@@ -30,6 +28,12 @@ def files(tmp_path, pair, truth):
 
 def describe(files, **more):
     return Pair(reference=str(files / "before.tif"), deformed=str(files / "after.tif"), **more)
+
+
+def analyse(pair, **settings):
+    scene = read_scene(pair)
+    known = {"known": scene.known, "sample": scene.sample, "measures": pair}
+    return eofm.analyse(*scene.frames, **known, **settings)
 
 
 def error(u, truth):
@@ -50,9 +54,7 @@ def test_known_edges_and_background_bring_the_field_nearer(files, truth):
 
 def test_edges_work_with_any_background_and_hard_or_weak(files, truth):
     edges = {"top": "fixed", "bottom": "moved 0 -2.5"}
-    weak = analyse(
-        describe(files, **edges), estimation=QUICK.model_copy(update={"edge_weight": 50})
-    )
+    weak = analyse(describe(files, **edges), estimation=QUICK.changed(edge_weight=50))
     hard = analyse(describe(files, **edges), estimation=QUICK)
     assert 1e-6 < abs(weak.u[:, 0]).max() < 0.2
     assert np.linalg.norm(weak.u - hard.u) < 0.05 * np.linalg.norm(truth)
@@ -71,12 +73,14 @@ def test_a_region_inside_the_sample(files, truth, sample):
         background="elastic",
         poisson_ratio=0.48,
     )
-    scene = prepare(pair)
-    assert not scene.edges
+    scene = read_scene(pair)
+    assert not scene.known.edges
     whole = eofm.background_field(sample, eofm.Forward(background_error=1e-4))
-    np.testing.assert_allclose(scene.background, whole[:, 8:52, 10:70], atol=0.01)
+    np.testing.assert_allclose(scene.known.background, whole[:, 8:52, 10:70], atol=0.01)
     seen = truth[:, 8:52, 10:70]
-    assert error(analyse(pair, estimation=QUICK).u, seen) < 0.7 * error(scene.background, seen)
+    assert error(analyse(pair, estimation=QUICK).u, seen) < 0.7 * error(
+        scene.known.background, seen
+    )
 
 
 def test_pixels_that_are_not_square(files, pair, truth):
@@ -85,7 +89,7 @@ def test_pixels_that_are_not_square(files, pair, truth):
     for name, I in zip(("before", "after"), pair[:2], strict=True):
         tifffile.imwrite(files / f"{name}.tif", resize(I, half).astype(np.float32))
     ratio = 89 / 44
-    u = analyse(describe(files, lateral_size=ratio), Tracking(gate=3), QUICK).u
+    u = analyse(describe(files, lateral_size=ratio), tracking=Tracking(gate=3), estimation=QUICK).u
     expected = np.stack([resize(c, half) for c in truth])
     expected[0] /= ratio
     assert error(u, expected) < 35
@@ -101,7 +105,7 @@ def test_dead_zones_carry_no_data(files, pair):
     edges = {"top": "fixed", "bottom": "moved 0 -2.5", "background": "elastic"}
     with_mask = describe(files, mask=str(files / "mask.tif"), **edges)
     polygon = describe(files, mask="28.5,18.5 60.5,18.5 60.5,40.5 28.5,40.5", **edges)
-    assert (prepare(with_mask).dead == prepare(polygon).dead).mean() > 0.98
+    assert (read_scene(with_mask).known.dead == read_scene(polygon).known.dead).mean() > 0.98
     clean = analyse(with_mask, estimation=QUICK)
     bubbles = clean.steps[0].bubbles
     assert not ((bubbles.x1.between(30, 59)) & (bubbles.x2.between(20, 39))).any()
@@ -139,9 +143,9 @@ def test_a_profile_belongs_to_the_edge_of_the_whole_sample(files, sample):
         bottom=f"moved {files / 'bottom.csv'}",
         background="elastic",
     )
-    scene = prepare(pair)
-    np.testing.assert_allclose(scene.edges["bottom"][1], profile.u2[20:50])
-    np.testing.assert_allclose(scene.background[1, -1], profile.u2[20:50], atol=1e-3)
+    scene = read_scene(pair)
+    np.testing.assert_allclose(scene.known.edges["bottom"][1], profile.u2[20:50])
+    np.testing.assert_allclose(scene.known.background[1, -1], profile.u2[20:50], atol=1e-3)
 
 
 def test_a_sequence_adds_up(files, truth):
@@ -162,7 +166,7 @@ def test_a_sequence_adds_up(files, truth):
     found = evaluate_field(result.u, x) - evaluate_field(truth, x)
     assert np.sqrt((found**2).mean()) < 0.25
     np.testing.assert_allclose(result.u[:, 0], 0, atol=1e-9)
-    write_results(result, Pair(frames="f"), files)
+    result.write(files)
     assert tifffile.imread(files / "increments.tif").shape == (4, *truth.shape[1:])
 
 
@@ -186,15 +190,14 @@ def test_bubbles_near_edges_of_unknown_motion_can_weigh_more(files, truth):
         return abs(u - truth)[:, :, [*range(4), *range(-4, 0)]].mean()
 
     results = [
-        analyse(describe(files), estimation=QUICK.model_copy(update={"edge_bubbles": w})).u
-        for w in (1.0, 5.0)
+        analyse(describe(files), estimation=QUICK.changed(edge_bubbles=w)).u for w in (1.0, 5.0)
     ]
     assert border(results[1]) < border(results[0])
 
 
 def test_everything_is_written(files, truth):
     pair = describe(files, lateral_size=4.0, axial_size=2.0)
-    write_results(analyse(pair, estimation=QUICK), pair, files)
+    analyse(pair, estimation=QUICK).write(files)
     u = tifffile.imread(files / "displacement.tif")
     np.testing.assert_allclose(
         tifffile.imread(files / "displacement_um.tif"), u * [[[4]], [[2]]], rtol=1e-6
@@ -231,7 +234,7 @@ def test_images_of_all_kinds(tmp_path, pair):
 def test_log_intensity(files, pair):
     linear = pair[0] + 0.01
     tifffile.imwrite(files / "before.tif", linear.astype(np.float32))
-    frames = prepare(describe(files, intensity="log")).frames
+    frames = read_scene(describe(files, intensity="log")).frames
     np.testing.assert_allclose(frames[0], np.log(linear), atol=1e-5)
 
 
@@ -258,7 +261,7 @@ def test_log_intensity(files, pair):
 )
 def test_bad_descriptions_end_before_any_work(files, more, message):
     with pytest.raises(eofm.InputError, match=message) as caught:
-        prepare(describe(files, **more))
+        read_scene(describe(files, **more))
     assert "\n" not in str(caught.value)
 
 
@@ -273,11 +276,11 @@ def test_a_sample_is_identified_with_the_motion_that_the_images_show(tmp_path):
     factor = found.summary["stiffness"]["edge_motion_factor"]
     assert 2.2 * factor == pytest.approx(2.0, abs=0.05)
     np.testing.assert_allclose(found.u[1, -1], -2.2 * factor, atol=1e-9)
-    write_results(found, pair, tmp_path)
+    found.write(tmp_path)
     assert tifffile.imread(tmp_path / "stiffness.tif").shape == found.first.shape
     assert tifffile.imread(tmp_path / "stiffness_deviation.tif").min() > 0
     assert tifffile.imread(tmp_path / "deviation.tif").shape == found.u.shape
-    write_results(analyse(describe(tmp_path, error_bars=0), estimation=QUICK), pair, tmp_path)
+    analyse(describe(tmp_path, error_bars=0), estimation=QUICK).write(tmp_path)
     assert not (tmp_path / "stiffness.tif").exists()
     assert not (tmp_path / "deviation.tif").exists()
 
@@ -285,4 +288,4 @@ def test_a_sample_is_identified_with_the_motion_that_the_images_show(tmp_path):
 def test_stiffness_wants_the_whole_sample(files):
     edges = {"top": "fixed", "bottom": "outside moved 0 -2.5"}
     with pytest.raises(eofm.InputError, match="stiffness: wants the whole sample"):
-        prepare(describe(files, **edges, stiffness=True))
+        read_scene(describe(files, **edges, stiffness=True))

@@ -69,8 +69,10 @@ def test_steps_are_the_library_s_functions(folder):
         I1,
         I2,
         eofm.Estimation(scales=3, zero_edges=("top", "bottom")),
-        bubbles=io.read_bubbles(folder / "bubbles.csv"),
-        background=io.read_field(folder / "bg.tif"),
+        known=eofm.Known(
+            bubbles=io.read_bubbles(folder / "bubbles.csv"),
+            background=io.read_field(folder / "bg.tif"),
+        ),
     ).u
     np.testing.assert_array_equal(u.astype(np.float32), tifffile.imread(folder / "u.tif"))
 

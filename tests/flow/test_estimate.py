@@ -16,7 +16,7 @@ def test_no_motion_gives_zero(shape, scales, rng):
     I = speckle(shape, rng)
     bubbles = eofm.track(I, I)
     u = eofm.estimate_displacement(
-        I, I, eofm.Estimation(method="paper", scales=scales), bubbles=bubbles
+        I, I, eofm.Estimation(method="paper", scales=scales), known=eofm.Known(bubbles=bubbles)
     ).u
     np.testing.assert_allclose(u, 0, atol=1e-10)
 
@@ -24,7 +24,9 @@ def test_no_motion_gives_zero(shape, scales, rng):
 def test_known_edges_are_kept_exactly(pair, background):
     I1, I2, bubbles = pair
     settings = eofm.Estimation(method="paper", zero_edges=EDGES)
-    u = eofm.estimate_displacement(I1, I2, settings, bubbles=bubbles, background=background).u
+    u = eofm.estimate_displacement(
+        I1, I2, settings, known=eofm.Known(bubbles=bubbles, background=background)
+    ).u
     np.testing.assert_allclose(u[:, [0, -1]], background[:, [0, -1]], atol=1e-12)
 
 
@@ -34,7 +36,9 @@ def test_speckle_and_background_each_bring_the_field_nearer(pair, truth, backgro
     bubbles = eofm.track(I1, I2, prediction=background)
 
     def error(settings, background=None):
-        u = eofm.estimate_displacement(I1, I2, settings, bubbles=bubbles, background=background).u
+        u = eofm.estimate_displacement(
+            I1, I2, settings, known=eofm.Known(bubbles=bubbles, background=background)
+        ).u
         return eofm.relative_errors(u, truth)["e_rel"]
 
     limits = (0.0, 1.0)
@@ -86,7 +90,9 @@ def test_sizes_must_agree(rng):
     with pytest.raises(eofm.InputError, match="differ in size"):
         eofm.estimate_displacement(np.eye(20), np.eye(21))
     with pytest.raises(eofm.InputError, match="differ in size"):
-        eofm.estimate_displacement(np.eye(20), np.eye(20), background=np.zeros((2, 20, 21)))
+        eofm.estimate_displacement(
+            np.eye(20), np.eye(20), known=eofm.Known(background=np.zeros((2, 20, 21)))
+        )
 
 
 @pytest.mark.parametrize("row", [(200, 5, 0, 0), (5, 5, 1e9, 0), (-1, 5, 0, 0)])
@@ -94,13 +100,15 @@ def test_bubbles_of_another_image_are_refused(rng, row):
     I = speckle((40, 50), rng)
     table = pd.DataFrame([(9, 9, 0, 0), row], columns=["x1", "x2", "u1", "u2"])
     with pytest.raises(eofm.InputError, match="bubble 2 of 2 lies or moves outside"):
-        eofm.estimate_displacement(I, I, bubbles=table)
+        eofm.estimate_displacement(I, I, known=eofm.Known(bubbles=table))
 
 
 def test_table_of_true_bubbles_serves_as_well(pair, truth):
     """A user's own table needs only the four columns."""
     I1, I2, bubbles = pair
-    u = eofm.estimate_displacement(I1, I2, bubbles=bubbles[["x1", "x2", "u1", "u2"]]).u
+    u = eofm.estimate_displacement(
+        I1, I2, known=eofm.Known(bubbles=bubbles[["x1", "x2", "u1", "u2"]])
+    ).u
     assert eofm.relative_errors(u, truth)["e_rel"] < 40
 
 
@@ -115,7 +123,7 @@ def test_what_moves_into_a_dead_zone_carries_no_data(rng):
     dead[30:50, 30:66] = True
     plain = eofm.estimate_displacement(I1, I2).u
     I1[dead] = I2[dead] = 0.5
-    masked = eofm.estimate_displacement(I1, I2, dead=dead).u
+    masked = eofm.estimate_displacement(I1, I2, known=eofm.Known(dead=dead)).u
     below = np.s_[50:56, 30:66]
     errors = [np.hypot(*(v - u))[below].mean() for v in (masked, plain)]
     assert errors[0] < 3 * errors[1] + 0.01

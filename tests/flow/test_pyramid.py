@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eofm.errors import InputError
-from eofm.flow.pyramid import coarse_to_fine, pyramid
+from eofm.flow.pyramid import pyramid, sampled
 
 
 @given(st.integers(8, 300), st.integers(8, 300), st.integers(1, 6), st.floats(0.3, 0.9))
@@ -29,17 +29,16 @@ def test_too_small_an_image_says_how_many_scales_fit():
     assert len(pyramid((9, 40), 2, 0.5)) == 2
 
 
-def test_each_scale_starts_from_the_last_one(rng):
-    seen = []
-
-    def improve(grid, I1, I2, u):
-        assert I1.shape == I2.shape == grid.shape == u.shape[1:]
-        seen.append(u.mean())
-        return u + 1
-
-    u = coarse_to_fine(*rng.normal(size=(2, 33, 41)), improve, pyramid((33, 41), 3, 0.5))
-    np.testing.assert_allclose(seen, [0, 1, 2], atol=1e-12)
-    np.testing.assert_allclose(u, 3, atol=1e-12)
+def test_images_keep_their_means_and_the_finest_is_the_image(rng):
+    I = rng.normal(size=(33, 41))
+    grids = pyramid(I.shape, 3, 0.5)
+    J = sampled(I, grids)
+    assert [j.shape for j in J] == [grid.shape for grid in grids]
+    assert J[-1] is I
+    x1, x2 = np.meshgrid(*grids[0].axes)
+    plane = [sampled(c, grids)[0] for c in np.mgrid[:33, :41].astype(float)]
+    np.testing.assert_allclose(plane[0][2:-2, 2:-2], x2[2:-2, 2:-2], atol=0.02)
+    np.testing.assert_allclose(plane[1][2:-2, 2:-2], x1[2:-2, 2:-2], atol=0.02)
 
 
 @pytest.mark.parametrize(("shape", "scales"), [((108, 180), 4), ((12, 400), 1), ((97, 97), 4)])

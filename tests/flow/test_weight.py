@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from eofm.flow.estimate import estimate_displacement
+from eofm.flow.known import Known
 from eofm.flow.matching import ImagePair, held_out
 from eofm.flow.weight import choose_alpha
 from eofm.grid import Grid
@@ -49,7 +50,9 @@ def test_motion_is_found_without_edges_or_background():
 def test_an_exact_background_stays():
     u = smooth_field()
     edges = ("top", "bottom", "left", "right")
-    found = estimate_displacement(*speckle(u), Estimation(zero_edges=edges), background=u)
+    found = estimate_displacement(
+        *speckle(u), Estimation(zero_edges=edges), known=Known(background=u)
+    )
     assert relative(found.u, u) < 0.01
     assert np.array_equal(found.u[:, 0], u[:, 0])
 

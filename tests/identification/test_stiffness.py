@@ -11,6 +11,7 @@ from eofm.elasticity.sensitivity import Elastic
 from eofm.errors import InputError
 from eofm.flow.estimate import estimate_displacement
 from eofm.flow.functional import Pointwise
+from eofm.flow.known import Known
 from eofm.identification import inversion
 from eofm.identification.inversion import Problem
 from eofm.identification.stiffness import identify_stiffness
@@ -34,7 +35,7 @@ def test_the_derivative_and_its_adjoint(contact, size):
 
 
 def test_the_elements_do_not_lock_and_converge():
-    sample = PLAIN.model_copy(update={"poisson_ratio": 0.4995})
+    sample = PLAIN.changed(poisson_ratio=0.4995)
     reference = displacement(sample, 1.0)
     errors = []
     for cell in (4.0, 2.0):
@@ -82,9 +83,12 @@ def test_pixels_that_are_not_square_and_dead_zones():
     I1, I2, u = pair()
     dead = np.zeros((48, 38), dtype=bool)
     dead[36:, 27:] = True
-    half = PLAIN.model_copy(update={"width": 38})
+    half = PLAIN.changed(width=38)
     found = identify_stiffness(
-        np.where(dead, 0.5, I1[:, ::2]), I2[:, ::2], half, dead=dead, pixel_size=(2.0, 1.0)
+        np.where(dead, 0.5, I1[:, ::2]),
+        I2[:, ::2],
+        half,
+        known=Known(dead=dead, pixel_size=(2.0, 1.0)),
     )
     assert overlap(np.repeat(found.E, 2, axis=1)) > 0.65
     truth = u[:, :, ::2] * np.reshape([0.5, 1], (2, 1, 1))
@@ -101,7 +105,7 @@ def test_a_homogeneous_sample_has_one_modulus():
 @pytest.mark.parametrize("wrong", [1.9, 2.1])
 def test_edges_that_move_otherwise_than_said_are_fitted(wrong):
     I1, I2, u = pair()
-    said = PLAIN.model_copy(update={"compression": wrong})
+    said = PLAIN.changed(compression=wrong)
     found = identify_stiffness(I1, I2, said)
     assert found.scale * wrong == pytest.approx(2, rel=0.02)
     assert f"{found.scale:.3f}" in found.summary()
@@ -113,10 +117,10 @@ def test_edges_that_move_otherwise_than_said_are_fitted(wrong):
 def test_unknown_edge_motion_is_refused():
     I1, I2, _ = pair()
     with pytest.raises(InputError, match="two edges that are known to move differently"):
-        identify_stiffness(I1, I2, PLAIN, edges={"top": np.zeros((2, 1))})
+        identify_stiffness(I1, I2, PLAIN, known=Known(edges={"top": np.zeros((2, 1))}))
     with pytest.raises(InputError, match="two edges that are known to move differently"):
-        identify_stiffness(I1, I2, PLAIN.model_copy(update={"compression": 0.0}))
-    wrong = PLAIN.model_copy(update={"compression": 4.0})
+        identify_stiffness(I1, I2, PLAIN.changed(compression=0.0))
+    wrong = PLAIN.changed(compression=4.0)
     with pytest.raises(InputError, match=r"contradict .* raise the doubt"):
         identify_stiffness(I1, I2, wrong)
 

@@ -23,7 +23,7 @@ def paper(request):
 @pytest.mark.parametrize(("noise", "rms", "largest"), [(0.0, 0.07, 0.7), (0.03, 0.12, 1.0)])
 def test_accuracy_on_the_default_phantom(paper, noise, rms, largest):
     truth, background, config = paper
-    settings = config.phantom.model_copy(update={"noise": noise})
+    settings = config.phantom.changed(noise=noise)
     I1, I2, bubbles = eofm.make_phantom(truth, settings)
     table = eofm.track(I1, I2, config.tracking, prediction=background)
     x, u = (table[list(names)].to_numpy().T for names in (("x1", "x2"), ("u1", "u2")))

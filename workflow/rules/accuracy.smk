@@ -55,7 +55,7 @@ rule stiffness:
     params:
         # The inclusions are what is sought.
         options=options(
-            settings.sample.model_copy(update={"inclusions": ()}),
+            settings.sample.changed(inclusions=()),
             settings.identification,
             settings.preset,
         ),

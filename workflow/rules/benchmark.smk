@@ -67,7 +67,7 @@ rule benchmark_estimate:
         mem_mb=6000,
     params:
         eofm=IMAGES_ONLY.model_dump(),
-        eofm_preset=settings.preset.model_copy(update={"zero_edges": ()}).model_dump(),
+        eofm_preset=settings.preset.changed(zero_edges=()).model_dump(),
     script:
         "../scripts/benchmark_estimate.py"
 

@@ -32,7 +32,7 @@ TESTS = list(settings.tests)
 OURS = ["5b", "6"]
 ROWS = ["background", *TESTS, *OURS]
 # Test 5's parameters for images of which nothing else is known: standard optical flow.
-IMAGES_ONLY = settings.estimation.model_copy(update={"zero_edges": (), "beta": 0.0})
+IMAGES_ONLY = settings.estimation.changed(zero_edges=(), beta=0.0)
 FIGURES = ["figure3", "figure4", "figure5", "figure6", "figure7", "test2", "test4"]
 
 PACKAGE = Path(os.path.relpath(Path(eofm.__file__).parent))

@@ -6,7 +6,7 @@ VIRTUAL = "results/virtual_oct"
 # optical flow differs in what it lacks: bubbles and a background.
 METHODS = {
     "standard": IMAGES_ONLY,
-    "eofm": settings.estimation.model_copy(update={"zero_edges": ()}),
+    "eofm": settings.estimation.changed(zero_edges=()),
 }
 
 
@@ -62,9 +62,7 @@ rule virtual_oct_track:
     params:
         # The error of the prediction grows with the sample.
         options=options(
-            settings.tracking.model_copy(
-                update={"gate": settings.tracking.gate * settings.virtual_oct.scale}
-            )
+            settings.tracking.changed(gate=settings.tracking.gate * settings.virtual_oct.scale)
         ),
     shell:
         "eofm track {input.reference} {input.deformed} --prediction {input.prediction}"

@@ -25,9 +25,7 @@ size, image = int(snakemake.wildcards.size), snakemake.wildcards.image
 settings = Phantom(**snakemake.params.phantom)
 changes = {"count": round(DENSITY[image] * size**2), "seed": snakemake.params.seed}
 u = motion(size)
-I1, I2, _ = make_phantom(
-    u, settings.model_copy(update=changes | (DENSE if image == "dense" else {}))
-)
+I1, I2, _ = make_phantom(u, settings.changed(**(changes | (DENSE if image == "dense" else {}))))
 io.write_image(Path(snakemake.output.reference), I1)
 io.write_image(Path(snakemake.output.deformed), I2)
 io.write_field(Path(snakemake.output.truth), u)

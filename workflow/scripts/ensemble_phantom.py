@@ -36,7 +36,7 @@ def draw(settings: Ensemble, sample: eofm.Sample, number: int) -> tuple[eofm.Sam
         "compression": rng.uniform(*settings.compression),
         "inclusions": place(settings, sample, 1 + (number in two[: settings.two]), rng),
     }
-    return sample.model_copy(update=changes), number in speckle[: settings.speckle]
+    return sample.changed(**changes), number in speckle[: settings.speckle]
 
 
 def place(
@@ -62,7 +62,7 @@ def render(u: Array, phantom: eofm.Phantom, speckle: bool) -> tuple[Array, Array
     """Images of bubbles as in the paper, or of dense, noisy speckle that fills [0, 1]."""
     if not speckle:
         return eofm.make_phantom(u, phantom)[:2]
-    dense = phantom.model_copy(update=SPECKLE | {"count": round(DENSITY * u[0].size)})
+    dense = phantom.changed(**(SPECKLE | {"count": round(DENSITY * u[0].size)}))
     images = np.stack(eofm.make_phantom(u, dense)[:2])
     noise = np.random.default_rng([phantom.seed, 3]).normal(size=images.shape)
     return normalise(*(images + NOISE * np.ptp(images) * noise))
@@ -101,20 +101,22 @@ def main() -> None:
         print(f"no bubbles: {error}")
         bubbles = pd.DataFrame(columns=list(io.BUBBLE_COLUMNS), dtype=float)
     io.write_table(out["bubbles"], bubbles)
-    known = {"bubbles": bubbles, "background": background}
+    known = eofm.Known(bubbles=bubbles, background=background)
     preset = eofm.Estimation(**given.preset)
-    free = preset.model_copy(update={"zero_edges": ()})
+    free = preset.changed(zero_edges=())
     fields = {"background": background}
     for name, settings, knowledge in (
         ("test5", eofm.Estimation(**given.estimation), known),
-        ("preset_free", free, {}),
+        ("preset_free", free, eofm.Known()),
         ("preset", preset, known),
     ):
-        fields[name] = eofm.estimate_displacement(I1, I2, settings, **knowledge).u
+        fields[name] = eofm.estimate_displacement(I1, I2, settings, knowledge).u
     # The inclusions are what is sought.
-    plain = sample.model_copy(update={"inclusions": ()})
+    plain = sample.changed(inclusions=())
     identification = eofm.Identification(**given.identification)
-    found = eofm.identify_stiffness(I1, I2, plain, identification, preset, bubbles=bubbles)
+    found = eofm.identify_stiffness(
+        I1, I2, plain, identification, preset, known=eofm.Known(bubbles=bubbles)
+    )
     fields["test6"] = found.estimate.u
     deviation, deviation_E = eofm.deviations(found)
 

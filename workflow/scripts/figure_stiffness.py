@@ -13,7 +13,7 @@ settings = Figures(**snakemake.params.figures)
 sample = Sample(**snakemake.params.sample)
 x = np.mgrid[: sample.height, : sample.width][::-1].astype(float)
 mu = lame(sample, x)[1]
-plain = lame(sample.model_copy(update={"inclusions": ()}), x)[1]
+plain = lame(sample.changed(inclusions=()), x)[1]
 E = io.read_image(Path(snakemake.input.stiffness))
 deviation = io.read_image(Path(snakemake.input.deviation))
 truth = mu / plain

@@ -88,16 +88,16 @@ def parameters(config: Config) -> np.ndarray:
 
 def table(config: Config, seed: int) -> tuple[np.ndarray, float]:
     """Errors of tests 1 to 5, shape (5, 5), and ||u1||^2 / ||u||^2."""
-    u = eofm.true_field(config.sample, config.forward.model_copy(update={"true_cell": CELL}))
+    u = eofm.true_field(config.sample, config.forward.changed(true_cell=CELL))
     u_bg = eofm.background_field(config.sample, config.forward)
-    settings = config.phantom.model_copy(update={"seed": seed})
+    settings = config.phantom.changed(seed=seed)
     I1, I2, _ = eofm.make_phantom(u, settings)
     bubbles = eofm.track(I1, I2, config.tracking, prediction=u_bg)
     rows = []
     for name, variant in config.tests.items():
         background = u_bg if variant.background else None
         found = eofm.estimate_displacement(
-            I1, I2, config.variant(name), bubbles=bubbles, background=background
+            I1, I2, config.variant(name), known=eofm.Known(bubbles=bubbles, background=background)
         )
         rows.append(list(eofm.relative_errors(found.u, u).values()))
     return np.array(rows), float((u[0] ** 2).sum() / (u**2).sum())

@@ -1,0 +1,200 @@
+"""What is minimised on each scale, and one step of it."""
+
+from dataclasses import dataclass
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eofm.flow.functional import Pointwise, Quadratic, edge_term, speckle_term
+from eofm.flow.known import Known
+from eofm.flow.matching import ImagePair, Match
+from eofm.flow.multigrid import multigrid
+from eofm.flow.pyramid import pyramid, solving
+from eofm.flow.weight import choose_alpha, combined, enough, first_alpha
+from eofm.grid import FACES, Array, Edge, Grid, Mask, along_edge, componentwise, unit_spacing
+from eofm.imaging.intensity import normalise, normalise_locally
+from eofm.imaging.splines import evaluate_field, resize, resize_field
+from eofm.settings import Estimation
+
+# Change of u by the last iteration of the last solve, px, which leaves a tenth of that; and of
+# solves that are followed by another about their result.
+FINE, ROUGH = 1e-3, 1e-2
+
+
+@dataclass(frozen=True)
+class Problem:
+    """All that F is made of beside the images, on the finest grid and in true lengths.
+
+    Attributes
+    ----------
+    settings : Estimation
+    grids : list of Grid
+        From coarse to fine, in the unit that gives the pixels of the finest the area 1.
+    u_bg : ndarray, shape (2, height, width)
+    v_edges : dict of ndarray, shape (2, n)
+        ``v`` on the edges of known motion.
+    x, motion : ndarray, shape (2, M)
+        Bubbles and their motion less that of the background.
+    dead : ndarray, shape (height, width)
+        1 where there is no data, else 0.
+    """
+
+    settings: Estimation
+    grids: list[Grid]
+    u_bg: Array
+    v_edges: dict[Edge, Array]
+    x: Array
+    motion: Array
+    dead: Array
+
+    @classmethod
+    def of(cls, shape: tuple[int, int], settings: Estimation, known: Known) -> Self:
+        """Return what is known, checked against the size of the images."""
+        background = np.zeros((2, *shape)) if known.background is None else known.background
+        dead = np.zeros(shape, dtype=bool) if known.dead is None else known.dead
+        spacing = unit_spacing(known.pixel_size)
+        grids = pyramid(shape, settings.scales, settings.factor, spacing)
+        u_bg, h = componentwise(spacing, 2) * background, componentwise(spacing, 1)
+
+        def at(edge: Edge) -> Array:
+            return u_bg[:, *FACES[edge].pixels()]
+
+        v_edges = {edge: h * g - at(edge) for edge, g in known.edges.items()}
+        v_edges |= {edge: np.zeros_like(at(edge)) for edge in settings.zero_edges}
+        x, motion = known.motions(shape)
+        update = h * (motion - evaluate_field(background, x))
+        return cls(settings, grids, u_bg, v_edges, h * x, update, dead.astype(float))
+
+    def level(self, number: int, I1: Array, I2: Array) -> "Level":
+        """Return the problem on one of the grids, with the images sampled there."""
+        settings, grid, finest = self.settings, self.grids[number], number == len(self.grids) - 1
+        live = resize(self.dead, grid.shape) < 0.5
+        pair = ImagePair(grid, I1, I2, live, settings.gradients == "mean")
+        edges, known = _on_edges(grid, self.v_edges), []
+        if self.x.size and (settings.speckle_scales == "all" or not finest):
+            beta = _weights(grid, self.x, self.v_edges, settings)
+            known.append(speckle_term(grid, self.x, self.motion, beta, settings.sigma))
+        if settings.edge_weight:
+            known.append(edge_term(grid, edges, settings.edge_weight))
+            edges = {}
+        u_bg = resize_field(self.u_bg, grid.shape)
+        decides = settings.alpha is None and number >= len(self.grids) - 2 and enough(grid.shape)
+        prescribed, free = _prescribed(grid, edges)
+        return Level(settings, pair, u_bg, prescribed, free, tuple(known), decides, finest)
+
+
+@dataclass(frozen=True)
+class Level:
+    """The problem on one grid, but for the displacement about which the images are linearised.
+
+    Attributes
+    ----------
+    settings : Estimation
+    pair : ImagePair
+    u_bg : ndarray, shape (2, height, width)
+    prescribed : ndarray, shape (2, height, width)
+        A field that is ``v`` on edges where it is prescribed, 0 elsewhere.
+    free : ndarray of bool, shape (height, width)
+        The other pixels.
+    terms : tuple of Pointwise
+        Speckle term and weak edges.
+    decides, finest : bool
+        Whether alpha is chosen on it; whether it is the last one.
+    """
+
+    settings: Estimation
+    pair: ImagePair
+    u_bg: Array
+    prescribed: Array
+    free: Mask
+    terms: tuple[Pointwise, ...]
+    decides: bool
+    finest: bool
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Of the grid."""
+        return self.pair.grid.shape
+
+    def functional(self, match: Match, alpha: float) -> Quadratic:
+        """F of ``v`` less what is prescribed."""
+        terms = sum(self.terms, start=match.density(self.u_bg))
+        F = Quadratic(self.pair.grid, terms, alpha, self.free, self.settings.smoothness)
+        return F.shifted(self.prescribed)
+
+    def improve(self, u: Array, chosen: tuple[float, ...], progress: bool) -> "Improved":
+        """Return a better displacement than ``u``, in true lengths.
+
+        ``chosen`` are the weights that coarser grids have chosen.
+        """
+        settings, about = self.settings, self.u_bg + self.prescribed
+        # The first field of a scale may still be far from it, and its residual no noise.
+        near = min(1, settings.warps - 1)
+        for warp in range(settings.warps):
+            match = self.pair.linearise(u)
+            if warp >= near:
+                match = match.filtered(settings.denoising)
+            alpha = settings.alpha or combined(chosen) or first_alpha(match)
+            if self.decides and warp == near:
+                trial = choose_alpha(match, self.u_bg, self.prescribed, self.free, alpha)
+                chosen = *chosen, trial
+                alpha = combined(chosen) or trial
+            F = self.functional(match, alpha)
+            change = FINE if self.finest and warp == settings.warps - 1 else ROUGH
+            with solving(self.pair.grid, progress) as report:
+                u = about + multigrid(F, change=change, initial=u - about, report=report)
+        return Improved(u, alpha, F, chosen)
+
+
+class Improved(NamedTuple):
+    """What one grid gives: ``u`` in true lengths, its alpha, its F, the weights chosen so far."""
+
+    u: Array
+    alpha: float
+    functional: Quadratic
+    chosen: tuple[float, ...]
+
+
+def normalised(
+    I1: Array, I2: Array, settings: Estimation, pixel_size: tuple[float, float]
+) -> tuple[Array, Array]:
+    """The images as the estimate sees them, of pixels with sides (lateral, axial)."""
+    if settings.local_window is None:
+        return normalise(I1, I2, settings.limits)
+    h1, h2 = unit_spacing(pixel_size)
+    window = settings.local_window / h1, settings.local_window / h2
+    I1, I2 = normalise(I1, I2)
+    return normalise_locally(I1, window), normalise_locally(I2, window)
+
+
+def _prescribed(grid: Grid, edges: dict[Edge, Array]) -> tuple[Array, NDArray[np.bool_]]:
+    """A field that is ``v`` on the edges where it is prescribed, and the other pixels."""
+    p, free = np.zeros((2, *grid.shape)), np.ones(grid.shape, dtype=bool)
+    for edge, v in edges.items():
+        p[:, *FACES[edge].pixels()] = v
+        free[FACES[edge].pixels()] = False
+    return p, free
+
+
+def _on_edges(grid: Grid, edges: dict[Edge, Array]) -> dict[Edge, Array]:
+    """Profiles along edges sampled on a grid, in the order in which they own corners."""
+    sampled = {}
+    for edge, face in FACES.items():
+        if edge in edges:
+            part = np.linspace(0, 1, face.along(grid.shape))
+            sampled[edge] = along_edge(edges[edge], part)
+    return sampled
+
+
+def _weights(
+    grid: Grid, x: Array, known: dict[Edge, Array], settings: Estimation
+) -> NDArray[np.float64]:
+    """The weights beta_i, raised near edges whose motion is not known."""
+    near = [
+        face.distance(x, grid) < 2 * settings.sigma
+        for edge, face in FACES.items()
+        if edge not in known
+    ]
+    factor = np.where(np.any(near, axis=0), settings.edge_bubbles, 1.0) if near else 1.0
+    return settings.beta * np.broadcast_to(factor, x.shape[1:])
