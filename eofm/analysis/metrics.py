@@ -25,6 +25,14 @@ def relative_errors(estimate: Array, truth: Array) -> dict[str, float]:
     ------
     InputError
         If the true field is zero, so that no relative error exists.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import eofm
+    >>> errors = eofm.relative_errors(np.full((2, 8, 8), 1.1), np.ones((2, 8, 8)))
+    >>> round(errors["e_rel"], 6)
+    10.0
     """
     if not truth.any():
         raise InputError("the true field is zero everywhere: relative errors do not exist")

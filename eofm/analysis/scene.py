@@ -42,6 +42,21 @@ def read_scene(pair: Pair) -> Scene:
     ------
     InputError
         In one line that begins with the key at fault.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib
+    >>> import numpy as np
+    >>> import eofm
+    >>> before, after, _ = eofm.make_phantom(np.zeros((2, 40, 60)))
+    >>> with tempfile.TemporaryDirectory() as name:
+    ...     files = [pathlib.Path(name) / "before.tif", pathlib.Path(name) / "after.tif"]
+    ...     for file, image in zip(files, (before, after)):
+    ...         eofm.io.write_image(file, image)
+    ...     pair = eofm.Pair(reference=files[0], deformed=files[1], top="fixed")
+    ...     scene = eofm.read_scene(pair)
+    >>> scene.frames.shape, sorted(scene.known.edges)
+    ((2, 40, 60), ['top'])
     """
     frames = _frames(pair)
     roi = _roi(pair, frames.shape[1:])

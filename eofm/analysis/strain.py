@@ -1,5 +1,7 @@
 """Strain from displacement."""
 
+from itertools import combinations
+
 import numpy as np
 from scipy import ndimage
 
@@ -46,12 +48,18 @@ def strain(u: Array, pixel_size: tuple[float, float], window: float) -> Array:
             f" ({pixel_size[0]:g} x {pixel_size[1]:g} um); a few pixels are usual"
         )
 
-    def derivative(i: int, j: int) -> Array:
-        across = _mean(u[i], j, widths[1 - j])
-        return _slope(across, 1 - j, widths[j]) * (pixel_size[i] / pixel_size[j])
+    n = len(u)
 
-    shear = (derivative(1, 0) + derivative(0, 1)) / 2
-    return np.stack([derivative(0, 0), derivative(1, 1), shear])
+    def derivative(i: int, j: int) -> Array:
+        """Slope of u_i along x_j, of its means across the other directions."""
+        f = u[i]
+        for k in (k for k in range(n) if k != j):
+            f = _mean(f, n - 1 - k, widths[k])
+        return _slope(f, n - 1 - j, widths[j]) * (pixel_size[i] / pixel_size[j])
+
+    normal = [derivative(i, i) for i in range(n)]
+    shear = [(derivative(j, i) + derivative(i, j)) / 2 for i, j in combinations(range(n), 2)]
+    return np.stack(normal + shear)
 
 
 def _sum(f: Array, axis: int, width: float) -> Array:
@@ -59,20 +67,21 @@ def _sum(f: Array, axis: int, width: float) -> Array:
     return ndimage.gaussian_filter1d(f, width, axis, mode="constant")
 
 
-def _along(values: Array, axis: int) -> Array:
+def _along(values: Array, axis: int, ndim: int) -> Array:
     """Values along an axis of an image."""
-    return np.expand_dims(values, 1 - axis)
+    return values.reshape([-1 if k == axis else 1 for k in range(ndim)])
 
 
 def _mean(f: Array, axis: int, width: float) -> Array:
     """Mean along an axis per sample."""
-    return _sum(f, axis, width) / _along(_sum(np.ones(f.shape[axis]), 0, width), axis)
+    return _sum(f, axis, width) / _along(_sum(np.ones(f.shape[axis]), 0, width), axis, f.ndim)
 
 
 def _slope(f: Array, axis: int, width: float) -> Array:
     """Slope along an axis per sample, from its moments."""
     # Centred positions keep the differences of moments well conditioned.
     x = np.linspace(-1, 1, f.shape[axis])
-    weight, first, second = (_along(_sum(x**k, 0, width), axis) for k in (0, 1, 2))
-    covariance = weight * _sum(_along(x, axis) * f, axis, width) - first * _sum(f, axis, width)
+    weight, first, second = (_along(_sum(x**k, 0, width), axis, f.ndim) for k in (0, 1, 2))
+    moment = _sum(_along(x, axis, f.ndim) * f, axis, width)
+    covariance = weight * moment - first * _sum(f, axis, width)
     return covariance / (weight * second - first**2) * 2 / (f.shape[axis] - 1)

@@ -39,12 +39,40 @@ GRADING = 3
 
 
 def true_field(sample: Sample, forward: Forward = Forward()) -> Array:
-    """Displacement of a sample with its inclusions, shape (2, height, width), px."""
+    """Displacement of a sample with its inclusions.
+
+    Returns
+    -------
+    ndarray, shape (2, height, width)
+        In px.
+
+    Examples
+    --------
+    >>> import eofm
+    >>> disc = eofm.Inclusion(x1=20, x2=15, radius=6, stiffness=5)
+    >>> sample = eofm.Sample(height=30, width=40, compression=1.5, inclusions=(disc,))
+    >>> u = eofm.true_field(sample)
+    >>> bool(abs(u[:, 0]).max() < 1e-9), bool(abs(u[1, -1] + 1.5).max() < 1e-9)
+    (True, True)
+    """
     return displacement(sample, forward.true_cell)
 
 
 def background_field(sample: Sample, forward: Forward = Forward()) -> Array:
-    """The field u_bg of the same experiment without inclusions, eq. (Ansatz), px."""
+    """The field u_bg of the same experiment without inclusions, eq. (Ansatz).
+
+    Returns
+    -------
+    ndarray, shape (2, height, width)
+        In px.
+
+    Examples
+    --------
+    >>> import eofm
+    >>> u = eofm.background_field(eofm.Sample(height=30, width=40, compression=1.5))
+    >>> u.shape
+    (2, 30, 40)
+    """
     return deform(
         sample, press(sample), error=forward.background_error, slip=sample.contact == "slip"
     )
@@ -179,7 +207,7 @@ def stiffness_matrix(basis: Basis, sample: Sample, spacing: Spacing = (1.0, 1.0)
     return shear.assemble(basis) + volume.assemble(reduced)
 
 
-def factorise(A: sp.csr_array, b: Array, ordering: str = "MMD_AT_PLUS_A") -> Array:
+def solve_positive(A: sp.csr_array, b: Array, ordering: str = "MMD_AT_PLUS_A") -> Array:
     """Solve a symmetric positive definite sparse system.
 
     There is no need of pivots off the diagonal, which would fill the factors of graded
@@ -237,7 +265,7 @@ def _solve(
     A, b, u, free = condense(K, x=prescribed, D=np.unique(np.concatenate(dofs)))
     lines = np.stack([np.unique(c.round(9), return_inverse=True)[1] for c in basis.doflocs])
     order = np.concatenate(_dissect(lines[:, free], np.arange(len(free))))
-    u[free[order]] = factorise(A[order][:, order], b[order], ordering="NATURAL")
+    u[free[order]] = solve_positive(A[order][:, order], b[order], ordering="NATURAL")
     return _on_pixels(sample.shape, x, u[nodes] / sides)
 
 
@@ -248,8 +276,8 @@ def _missed(u: Array, motion: dict[Edge, Array], slip: bool) -> float:
     """
 
     def difference(edge: Edge, g: Array) -> Array:
-        found = u[:, *FACES[edge].pixels()]
-        return found - along_edge(g, np.linspace(0, 1, found.shape[1]))
+        there = u[:, *FACES[edge].pixels()]
+        return there - along_edge(g, np.linspace(0, 1, there.shape[1]))
 
     return max(np.abs(difference(edge, g)[int(slip) :, 1:-1]).max() for edge, g in motion.items())
 

@@ -65,6 +65,14 @@ class Estimate:
         Returns
         -------
         ndarray, shape (2, height, width)
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import eofm
+        >>> before, after, _ = eofm.make_phantom(np.full((2, 40, 60), 0.3))
+        >>> eofm.estimate_displacement(before, after).deviation(samples=4).shape
+        (2, 40, 60)
         """
         squares = np.zeros_like(self.u)
         for sample in self.samples(samples, seed):

@@ -13,16 +13,26 @@ the trapezoidal rule in each cell: second order, and every term without derivati
 """
 
 from dataclasses import dataclass, replace
-from typing import Self
+from functools import reduce
+from itertools import combinations_with_replacement, product
+from math import factorial, prod
+from typing import Any, Self
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from eofm.grid import FACES, Array, Edge, Grid
+from eofm.grid import FACES, Array, Edge, Grid, Mask
 from eofm.imaging.gaussian import gaussians
 
-Roots = list[tuple[sp.csr_array, sp.csr_array]]
+Roots = list[tuple[sp.csr_array, ...]]
+
+# Order of the derivatives in R.
+ORDERS = {"gradient": 1, "bending": 2}
+
+
+def pairs(ndim: int) -> list[tuple[int, int]]:
+    """Components of the entries of a symmetric matrix as they are stored: 11, 12, 22."""
+    return list(combinations_with_replacement(range(ndim), 2))
 
 
 @dataclass(frozen=True)
@@ -32,7 +42,7 @@ class Pointwise:
     Attributes
     ----------
     A : ndarray, shape (3, height, width)
-        The entries A11, A12, A22.
+        The entries of a symmetric matrix, see `pairs`.
     b : ndarray, shape (2, height, width)
     """
 
@@ -41,22 +51,33 @@ class Pointwise:
 
     def product(self, v: Array) -> Array:
         """``A v``, shape (2, height, width)."""
-        A11, A12, A22 = self.A
-        return np.stack([A11 * v[0] + A12 * v[1], A12 * v[0] + A22 * v[1]])
+        q = np.zeros_like(v)
+        for A, (i, j) in zip(self.A, pairs(len(v)), strict=True):
+            q[i] += A * v[j]
+            if i != j:
+                q[j] += A * v[i]
+        return q
 
     def __add__(self, other: Self) -> "Pointwise":
         return Pointwise(self.A + other.A, self.b + other.b)
 
 
-def data_term(grad_I: Array, I_t: Array, inside: NDArray[np.bool_]) -> Pointwise:
+def isotropic(a: Array, b: Array) -> Pointwise:
+    """Density of ``a v . v - 2 v . b``, for ``a`` of the grid's shape."""
+    A = [a if i == j else np.zeros_like(a) for i, j in pairs(len(b))]
+    return Pointwise(np.stack(A), b)
+
+
+def data_term(grad_I: Array, I_t: Array, inside: Mask) -> Pointwise:
     """Density of ``(grad I . v + I_t)^2``, off where ``inside`` is False.
 
     With a background, pass ``I_t + grad I . u_bg`` for ``I_t``.
     """
     g = np.where(inside, grad_I, 0.0)
-    A = np.empty((3, *I_t.shape))
-    for product, i, j in zip(A, (0, 0, 1), (0, 1, 1), strict=True):
-        np.multiply(g[i], g[j], out=product)
+    entries = pairs(len(g))
+    A = np.empty((len(entries), *I_t.shape))
+    for entry, (i, j) in zip(A, entries, strict=True):
+        np.multiply(g[i], g[j], out=entry)
     g *= I_t
     return Pointwise(A, np.negative(g, out=g))
 
@@ -75,7 +96,7 @@ def speckle_term(grid: Grid, x: Array, u: Array, beta: float | Array, sigma: flo
     """
     weights = np.broadcast_to(beta, x.shape[1:]) / (2 * np.pi * sigma**2)
     g = gaussians(grid.axes, x, sigma, weights * [np.ones_like(u[0]), *u])
-    return Pointwise(np.stack([g[0], np.zeros_like(g[0]), g[0]]), g[1:])
+    return isotropic(g[0], g[1:])
 
 
 def edge_term(grid: Grid, motion: dict[Edge, Array], weight: float) -> Pointwise:
@@ -88,12 +109,13 @@ def edge_term(grid: Grid, motion: dict[Edge, Array], weight: float) -> Pointwise
         ``g`` at the n pixels of each edge.
     weight : float
     """
-    A, b = np.zeros((3, *grid.shape)), np.zeros((2, *grid.shape))
+    a, b = np.zeros(grid.shape), np.zeros((grid.ndim, *grid.shape))
     for edge, g in motion.items():
-        depth = grid.weights[FACES[edge].component][0]
-        A[[0, 2], *FACES[edge].pixels()] += weight / depth
-        b[:, *FACES[edge].pixels()] += weight / depth * g
-    return Pointwise(A, b)
+        face = FACES[edge]
+        depth = grid.weights[face.component][0]
+        a[face.pixels()] += weight / depth
+        b[:, *face.pixels()] += weight / depth * g
+    return isotropic(a, b)
 
 
 @dataclass(frozen=True)
@@ -117,15 +139,20 @@ class Quadratic:
     grid: Grid
     terms: Pointwise
     alpha: float
-    free: NDArray[np.bool_]
+    free: Mask
     smoothness: str = "gradient"
 
     def a(self) -> sp.csr_array:
         """Matrix of ``a`` on the free pixels, first all of v1, then all of v2."""
-        A11, A12, A22 = (sp.diags_array((self.grid.areas * A).ravel()) for A in self.terms.A)
+        n = self.grid.ndim
         R = self.alpha * smoothness_energy(self.grid, self.smoothness)
-        keep = np.flatnonzero(np.tile(self.free.ravel(), 2))
-        return 2 * sp.block_array([[A11 + R, A12], [A12, A22 + R]], format="csr")[keep][:, keep]
+        blocks: list[list[Any]] = [[None] * n for _ in range(n)]
+        for A, (i, j) in zip(self.terms.A, pairs(n), strict=True):
+            blocks[i][j] = blocks[j][i] = sp.diags_array((self.grid.areas * A).ravel())
+            if i == j:
+                blocks[i][i] = blocks[i][i] + R
+        keep = np.flatnonzero(np.tile(self.free.ravel(), n))
+        return 2 * sp.block_array(blocks, format="csr")[keep][:, keep]
 
     def b(self) -> Array:
         """Vector of ``b`` on the free pixels."""
@@ -135,56 +162,69 @@ class Quadratic:
         """The functional of ``w = v - p``, up to a constant, for ``v = p`` where not free."""
         if not p.any():
             return self
-        area, roots = self.grid.areas, ROOTS[self.smoothness](self.grid)
-        smooth = [sum(P2.T @ (P2 @ c @ P1.T) @ P1 for P2, P1 in roots) / area for c in p]
+        area, roots = self.grid.areas, smoothness_roots(self.grid, self.smoothness)
+        smooth = [sum(_apply(P, _apply(P, c), adjoint=True) for P in roots) / area for c in p]
         b = self.terms.b - self.terms.product(p) - self.alpha * np.stack(smooth)
         return replace(self, terms=Pointwise(self.terms.A, b))
 
     def rough(self, rng: np.random.Generator) -> Array:
         """Draw a functional, shape (2, height, width), with covariance ``alpha R``."""
-        roots = ROOTS[self.smoothness](self.grid)
+        roots = smoothness_roots(self.grid, self.smoothness)
 
         def draw() -> Array:
-            sizes = ((P2.shape[0], P1.shape[0]) for P2, P1 in roots)
-            noise = (rng.standard_normal(size) for size in sizes)
-            return sum(P2.T @ z @ P1 for (P2, P1), z in zip(roots, noise, strict=True))
+            noise = [rng.standard_normal([M.shape[0] for M in P[::-1]]) for P in roots]
+            parts = (_apply(P, z, adjoint=True) for P, z in zip(roots, noise, strict=True))
+            return reduce(np.add, parts)
 
-        return np.sqrt(self.alpha) * np.stack([draw(), draw()])
+        return np.sqrt(self.alpha) * np.stack([draw() for _ in range(self.grid.ndim)])
 
     def field(self, x: Array) -> Array:
         """The field, shape (2, height, width), of a vector of free values."""
-        v = np.zeros((2, *self.grid.shape))
-        v[:, self.free] = x.reshape(2, -1)
+        v = np.zeros((self.grid.ndim, *self.grid.shape))
+        v[:, self.free] = x.reshape(len(v), -1)
         return v
 
 
 def smoothness_energy(grid: Grid, smoothness: str) -> sp.coo_array:
     """Matrix of R for scalar fields with natural boundaries."""
-    return sum(sp.kron(P2.T @ P2, P1.T @ P1) for P2, P1 in ROOTS[smoothness](grid))
+    roots = smoothness_roots(grid, smoothness)
+    return sum(reduce(sp.kron, [M.T @ M for M in P[::-1]]) for P in roots)
 
 
-def gradient_roots(grid: Grid) -> Roots:
-    """Factors of ``R(v) = int |grad v|^2``: of each direction the matrices along x2 and x1.
+def smoothness_roots(grid: Grid, smoothness: str) -> Roots:
+    """Factors of R: for each derivative a matrix along each component.
 
-    ``R = sum_k |P2_k v P1_k^T|^2`` for scalar v of shape (height, width).
+    ``R(v) = int sum |d^k v|^2`` over all derivatives of one order, each as often as it stands
+    among those with their indices in any order: 1 for ``int |grad v|^2``, 2 for the bending
+    energy ``int sum_jk |d_jk v|^2``. It is the sum of the squares of the matrices' products with v.
     """
-    (M1, D1), (M2, D2) = (_differences(grid, axis, 1) for axis in (0, 1))
-    return [(M2, D1), (D2, M1)]
+    order = ORDERS[smoothness]
+    along = [_differences(grid, c, order) for c in range(grid.ndim)]
+    derivatives = [k for k in product(range(order, -1, -1), repeat=grid.ndim) if sum(k) == order]
+    roots = []
+    for k in derivatives:
+        copies = factorial(order) / prod(map(factorial, k))
+        first, *others = (matrices[m] for matrices, m in zip(along, k, strict=True))
+        roots.append((np.sqrt(copies) * first, *others))
+    return roots
 
 
-def bending_roots(grid: Grid) -> Roots:
-    """The same of ``R(v) = int sum_jk |d_jk v|^2``."""
-    (M1, D1, B1), (M2, D2, B2) = (_differences(grid, axis, 2) for axis in (0, 1))
-    return [(M2, B1), (D2, np.sqrt(2) * D1), (B2, M1)]
+def _apply(matrices: tuple[sp.csr_array, ...], f: Array, adjoint: bool = False) -> Array:
+    """Product of a scalar field with a matrix, or its transpose, along each component."""
+    for axis, M in enumerate(reversed(matrices)):
+        lines = np.moveaxis(f, axis, 0)
+        lines = ((M.T if adjoint else M) @ lines.reshape(len(lines), -1)).reshape(
+            -1, *lines.shape[1:]
+        )
+        f = np.moveaxis(lines, 0, axis)
+    return f
 
 
-ROOTS = {"gradient": gradient_roots, "bending": bending_roots}
-
-
-def _differences(grid: Grid, axis: int, order: int) -> list[sp.csr_array]:
-    """Matrices P_k along an axis with ``|P_k u|^2 = int |u^(k)|^2`` for k up to an order."""
-    n, h = grid.shape[1 - axis], grid.spacing[axis]
-    D, matrices = sp.eye_array(n, format="csr"), [sp.diags_array(np.sqrt(grid.weights[axis]))]
+def _differences(grid: Grid, component: int, order: int) -> list[sp.csr_array]:
+    """Matrices P_k along a component with ``|P_k u|^2 = int |u^(k)|^2`` for k up to an order."""
+    n, h = grid.shape[grid.ndim - 1 - component], grid.spacing[component]
+    D = sp.eye_array(n, format="csr")
+    matrices = [sp.diags_array(np.sqrt(grid.weights[component]))]
     for m in range(n - 1, n - 1 - order, -1):
         D = sp.diags_array([-np.ones(m), np.ones(m)], offsets=[0, 1], shape=(m, m + 1)) @ D / h
         matrices.append(np.sqrt(h) * D)

@@ -66,18 +66,28 @@ def track(
     ------
     InputError
         If an image is constant, no bubble is found, or none can be followed.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import eofm
+    >>> u = np.full((2, 60, 80), 0.5)
+    >>> before, after, _ = eofm.make_phantom(u, eofm.Phantom(count=40, distance=8, seed=3))
+    >>> bubbles = eofm.track(before, after)
+    >>> bool(abs(bubbles.u1.median() - 0.5) < 0.02)
+    True
     """
     I1, I2 = normalise(I1, I2)
     before, after = detect(I1, settings), detect(I2, settings)
-    for name, found in (("before", before), ("after", after)):
-        if found.empty:
+    for name, bubbles in (("before", before), ("after", after)):
+        if bubbles.empty:
             raise InputError(
                 f"no bubble found in the image {name} compression; lower the threshold"
                 f" ({settings.threshold:g}) or the least area ({settings.min_area} px^2)"
             )
     x, y = (bubbles[["x1", "x2"]].to_numpy().T for bubbles in (before, after))
     expected = np.zeros_like(x) if prediction is None else evaluate_field(prediction, x)
-    i, j = match(before, after, expected, settings.gate)
+    i, j = assign(before, after, expected, settings.gate)
     x, expected = x[:, i], expected[:, i]
     motion, quality = register(I1, I2, x, y[:, j] - x, settings.window)
     good = (quality >= settings.quality) & (
@@ -121,7 +131,7 @@ def detect(I: Array, settings: Tracking = Tracking()) -> pd.DataFrame:
     return table[kept].reset_index(drop=True)
 
 
-def match(
+def assign(
     before: pd.DataFrame, after: pd.DataFrame, expected: Array, gate: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """One-to-one matches of least total cost: rows of ``before`` and of ``after``.
@@ -157,7 +167,7 @@ def match(
     order = np.argsort(cluster, kind="stable")
     batch = np.searchsorted(cluster[order], cluster[order]) // ASSIGNED
     batches = np.split(order, np.flatnonzero(np.diff(batch)) + 1)
-    rows, columns = np.concatenate([_assign(graph, some) for some in batches], axis=1)
+    rows, columns = np.concatenate([_assign_part(graph, some) for some in batches], axis=1)
     columns = columns[np.argsort(rows)]
     matched = columns < len(after)
     return alone[matched], columns[matched]
@@ -220,7 +230,7 @@ def agree(x: Array, motion: Array, settings: Tracking) -> NDArray[np.bool_]:
     return deviation.max(0) <= settings.tolerance
 
 
-def _assign(
+def _assign_part(
     graph: sparse.csr_array, rows: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Columns of least total cost for some rows of a sparse matrix of costs."""

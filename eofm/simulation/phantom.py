@@ -43,6 +43,14 @@ def make_phantom(u: Array, settings: Phantom = Phantom()) -> tuple[Array, Array,
     ------
     InputError
         If the bubbles do not fit into the sample at the distance wanted.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import eofm
+    >>> before, after, bubbles = eofm.make_phantom(np.zeros((2, 40, 60)), eofm.Phantom(count=50))
+    >>> before.shape, len(bubbles), bool((before == after).all())
+    ((40, 60), 50, True)
     """
     shape = u.shape[1:]
     place, look, noise = (np.random.default_rng([settings.seed, k]) for k in range(3))

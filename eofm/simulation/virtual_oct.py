@@ -70,6 +70,15 @@ def make_tomograms(u: Array, background: Array, settings: VirtualOct = VirtualOc
     ------
     InputError
         If the fields differ in size or the region of interest is too small for an image.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import eofm
+    >>> u = np.zeros((2, 20, 30))
+    >>> made = eofm.make_tomograms(u, u, eofm.VirtualOct(reflectors=50))
+    >>> made.I1.shape == made.truth.shape[1:]
+    True
     """
     if u.shape != background.shape:
         raise InputError(

@@ -178,3 +178,15 @@ def test_no_data_reproduces_nothing_and_a_constant_bubble_field_is_exact(rng):
     F = Quadratic(grid, speckle_term(grid, x, motion, 0.5, 3.0), 0.8, np.ones(grid.shape, bool))
     np.testing.assert_allclose(direct(F)[0], 1.25, atol=1e-9)
     np.testing.assert_allclose(direct(F)[1], -2.5, atol=1e-9)
+
+
+@pytest.mark.parametrize(("smoothness", "wanted"), [("gradient", 1 / 3 + 1 / 3), ("bending", 2.0)])
+def test_smoothness_of_a_volume_counts_every_derivative(smoothness, wanted):
+    """The same loops in three dimensions: x1 x3 on the unit cube, and nothing for a constant."""
+    n = 65
+    grid = Grid((n, 5, n), (1 / (n - 1), 1 / 4, 1 / (n - 1)))
+    x1, _, x3 = np.meshgrid(*grid.axes, indexing="ij")
+    R = smoothness_energy(grid, smoothness)
+    v = (x1 * x3).transpose(2, 1, 0).ravel()
+    assert v @ (R @ v) == pytest.approx(wanted, rel=1e-3)
+    assert abs(R @ np.ones(v.size)).max() < 1e-6

@@ -9,7 +9,7 @@ from scipy.spatial.distance import cdist
 import eofm
 from eofm.app.config import load
 from eofm.imaging import bubbles as tracker
-from eofm.imaging.bubbles import UNMATCHED, agree, detect, match, register
+from eofm.imaging.bubbles import UNMATCHED, agree, assign, detect, register
 from eofm.imaging.splines import evaluate_field
 
 
@@ -98,14 +98,14 @@ def frame(points, brightness=1.0, area=9.0):
 def test_matching_is_one_to_one_and_of_least_cost():
     before = frame([(10.0, 10), (12, 10), (30, 30)])
     after = frame([(12.1, 10), (14.1, 10), (60, 60)])
-    i, j = match(before, after, np.full((2, 3), [[2.0], [0]]), gate=3.0)
+    i, j = assign(before, after, np.full((2, 3), [[2.0], [0]]), gate=3.0)
     assert dict(zip(i, j, strict=True)) == {0: 0, 1: 1}
 
 
 def test_matching_prefers_what_looks_alike():
     before = frame([(10.0, 10)])
     after = frame([(11.0, 10), (9, 10)], brightness=[0.2, 1.0])
-    _, j = match(before, after, np.zeros((2, 1)), gate=3.0)
+    _, j = assign(before, after, np.zeros((2, 1)), gate=3.0)
     assert j.tolist() == [1]
 
 
@@ -126,7 +126,7 @@ def test_matches_are_those_of_the_full_assignment(monkeypatch, rng, assigned):
     cost = (distance / gate) ** 2 + 0.5 * brightness + 0.25 * area
     cost = np.where(distance <= gate, cost, 1e3)
     rows, columns = linear_sum_assignment(np.hstack([cost, np.full((n, n), UNMATCHED)]))
-    i, j = match(before, after, np.zeros((2, n)), gate)
+    i, j = assign(before, after, np.zeros((2, n)), gate)
     matched = columns < len(after)
     np.testing.assert_array_equal(i, rows[matched])
     np.testing.assert_array_equal(j, columns[matched])
