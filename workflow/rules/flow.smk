@@ -6,7 +6,7 @@ rule track:
         reference="results/phantom/reference.tif",
         deformed="results/phantom/deformed.tif",
         prediction="results/phantom/background.tif",
-        code=code("bubbles"),
+        code=code("track"),
     output:
         "results/bubbles.csv",
     log:

@@ -20,7 +20,7 @@ rule true_field:
 
 rule background_field:
     input:
-        code=code("forward"),
+        code=code("background"),
     output:
         "results/phantom/background.tif",
     log:

@@ -11,7 +11,7 @@ rule samples:
 rule sample:
     input:
         files=lambda wildcards: sample_files(SAMPLES[wildcards.sample]),
-        code=code("report"),
+        code=code("sample"),
     output:
         displacement="results/samples/{sample}/displacement.tif",
         displacement_um="results/samples/{sample}/displacement_um.tif",

@@ -25,7 +25,7 @@ rule virtual_oct_tomograms:
     input:
         truth="results/phantom/true.tif",
         background="results/phantom/background.tif",
-        code=code("virtual_oct"),
+        code=code("virtual-oct"),
     output:
         reference=f"{VIRTUAL}/reference.tif",
         deformed=f"{VIRTUAL}/deformed.tif",
@@ -50,7 +50,7 @@ rule virtual_oct_track:
         reference=f"{VIRTUAL}/reference.tif",
         deformed=f"{VIRTUAL}/deformed.tif",
         prediction=f"{VIRTUAL}/background.tif",
-        code=code("bubbles"),
+        code=code("track"),
     output:
         f"{VIRTUAL}/bubbles.csv",
     log:
@@ -110,7 +110,7 @@ rule virtual_oct_report:
         bubbles=f"{VIRTUAL}/bubbles.csv",
         standard=f"{VIRTUAL}/standard/displacement.tif",
         eofm=f"{VIRTUAL}/eofm/displacement.tif",
-        code=code("figures", "metrics"),
+        code=code("virtual_oct.py"),
     output:
         errors=report(
             f"{VIRTUAL}/errors.csv",
