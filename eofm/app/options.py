@@ -20,13 +20,14 @@ def add_options(group: argparse._ArgumentGroup, section: type[Section]) -> None:
     for name, field in section.model_fields.items():
         default = field.get_default()
         shown = " ".join(map(str, default)) if isinstance(default, tuple) else default
+        known = f"default: {'none' if shown in ('', None) else shown}"
         group.add_argument(
             f"--{name.replace('_', '-')}",
             metavar="VALUE",
             nargs="*" if section.takes_many(name) else None,
             type=parse_optional if default in NONE else parse_value,
             default=argparse.SUPPRESS,
-            help=f"{field.description} (default: {'none' if shown in ('', None) else shown}"
+            help=f"{field.description} ({'required' if field.is_required() else known}"
             + (f"; paper: {PAPER[name]}" if section is Estimation and name in PAPER else "")
             + ")",
         )
