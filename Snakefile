@@ -9,14 +9,6 @@ configfile: "config/config.yaml"
 
 
 include: "workflow/rules/common.smk"
-
-
-rule all:
-    input:
-        expand("results/table1.{kind}", kind=["csv", "tex", "html"]),
-        expand("results/figures/{name}.{kind}", name=FIGURES, kind=["png", "pdf"]),
-
-
 include: "workflow/rules/phantom.smk"
 include: "workflow/rules/flow.smk"
 include: "workflow/rules/table.smk"
@@ -26,3 +18,10 @@ include: "workflow/rules/samples.smk"
 include: "workflow/rules/virtual_oct.smk"
 include: "workflow/rules/ensemble.smk"
 include: "workflow/rules/benchmark.smk"
+
+
+rule all:
+    default_target: True
+    input:
+        rules.table1.output,
+        rules.figures.output,

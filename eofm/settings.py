@@ -107,14 +107,12 @@ class Inclusion(Section):
 class Sample(Section):
     """The sample and how it is pressed."""
 
-    height: int = Field(
-        107, ge=8, description="rows of the image, which shows the whole sample, px"
-    )
-    width: int = Field(180, ge=8, description="columns of the image, px")
-    poisson_ratio: float = Field(0.492, gt=0, lt=0.5, description="Poisson ratio of all materials")
+    height: int = Field(ge=8, description="rows of the image, which shows the whole sample, px")
+    width: int = Field(ge=8, description="columns of the image, px")
+    poisson_ratio: float = Field(0.49, gt=0, lt=0.5, description="Poisson ratio of all materials")
     plane: Literal["strain", "stress"] = Field("strain", description="plane strain or plane stress")
     inclusions: tuple[Inclusion, ...] = Field((), description="what differs from the background")
-    compression: float = Field(3.53, description="upward motion of the bottom, px")
+    compression: float = Field(3.0, description="upward motion of the bottom, px")
     contact: Literal["clamped", "slip"] = Field(
         "clamped", description="whether top and bottom are held sideways or slide"
     )

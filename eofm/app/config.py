@@ -92,7 +92,7 @@ class Variant(Section):
 class Config(Section):
     """The whole experiment."""
 
-    sample: Sample = Sample()
+    sample: Sample
     forward: Forward = Forward()
     phantom: Phantom = Phantom()
     virtual_oct: VirtualOct = VirtualOct()

@@ -149,12 +149,14 @@ def test_unusable_fields_and_tables(folder, tmp_path, capsys):
     fails(
         capsys, ["phantom", folder / "a.tif", "--reference", "r", "--deformed", "d", "--table", "t"]
     )
-    fails(capsys, ["forward", "--output", tmp_path / "none" / "u.tif"], "does not exist")
+    size = ["--height", "40", "--width", "60"]
+    fails(capsys, ["forward", "--output", tmp_path / "none" / "u.tif", *size], "does not exist")
     fails(
         capsys,
-        ["background", "--output", tmp_path / "o", "--poisson-ratio", "0.5"],
+        ["background", *out, "--height", "40", "--width", "60", "--poisson-ratio", "0.5"],
         "less than 0.5",
     )
+    fails(capsys, ["background", *out, "--height", "40"], "sample: width: field required")
 
 
 def test_all_outputs_are_checked_before_any_work(folder, tmp_path, capsys):

@@ -2,12 +2,13 @@ import json
 import runpy
 
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
 from eofm.app.config import Config, load
 from eofm.errors import InputError
-from eofm.settings import Estimation, Phantom, Sample
+from eofm.settings import Estimation, Forward, Phantom, Sample
 
 
 @pytest.fixture(scope="module")
@@ -27,13 +28,33 @@ def test_schema_and_tables_have_not_drifted_from_the_models(folder, describe):
     assert text == describe["readme"](text), advice
 
 
-def test_the_configuration_states_every_key(folder):
-    import yaml
-
+def test_the_configuration_states_only_what_it_chooses(folder):
+    """Without any one of its values the experiment would be another one, or none."""
     stated = yaml.safe_load((folder / "config.yaml").read_text())
-    for name, section in Config.model_fields.items():
-        if name not in ("tests", "samples"):
-            assert set(stated[name]) == set(section.annotation.model_fields), name
+    experiment = load(folder / "config.yaml")
+
+    def cut(values, path=()):
+        for key in values:
+            rest = {k: v for k, v in values.items() if k != key}
+            yield (*path, key), rest
+            if isinstance(values[key], dict):
+                for where, inner in cut(values[key], (*path, key)):
+                    yield where, values | {key: inner}
+
+    cuts = dict(cut(stated))
+    assert ("sample", "height") in cuts
+    for where, values in cuts.items():
+        try:
+            changed = Config.parse(values, "cut") != experiment
+        except InputError:
+            changed = True
+        assert changed, f"{'.'.join(where)} is the default"
+
+
+def test_a_sample_states_its_size():
+    for values in ({}, {"height": 108}, {"width": 180}):
+        with pytest.raises(InputError, match="field required"):
+            Sample.parse(values, "sample")
 
 
 def test_the_paper_s_parameters(folder):
@@ -79,6 +100,8 @@ def test_the_paper_s_parameters(folder):
     ],
 )
 def test_wrong_values_are_named_in_one_line(values, message):
+    if isinstance(values.get("sample", {}), dict):
+        values = values | {"sample": {"height": 108, "width": 180} | values.get("sample", {})}
     with pytest.raises(InputError, match=message) as caught:
         Config.parse(values, "configuration")
     assert "\n" not in str(caught.value)
@@ -102,7 +125,7 @@ def test_any_values_give_settings_or_one_line(values):
 
 
 def test_numbers_may_come_as_strings_from_the_command_line():
-    assert Sample.parse({"compression": "3.5"}, "sample").compression == 3.5
+    assert Forward.parse({"true_cell": "3.5"}, "forward").true_cell == 3.5
     assert Phantom.parse({"sigma": ["1", "2"]}, "phantom").sigma == (1, 2)
 
 

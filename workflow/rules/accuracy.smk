@@ -30,7 +30,7 @@ rule preset:
     params:
         options=options(settings.preset),
     shell:
-        "eofm estimate {input.reference} {input.deformed} --bubbles {input.bubbles}"
+        "eofm estimate --threads {threads} {input.reference} {input.deformed} --bubbles {input.bubbles}"
         " --background {input.background} --output {output.displacement}"
         " --deviation {output.deviation} {params.options} > {log} 2>&1"
 
@@ -40,7 +40,7 @@ rule stiffness:
         reference="results/phantom/reference.tif",
         deformed="results/phantom/deformed.tif",
         bubbles="results/bubbles.csv",
-        code=code("stiffness", "uncertainty"),
+        code=code("stiffness"),
     output:
         stiffness="results/tests/6/stiffness.tif",
         displacement="results/tests/6/displacement.tif",
@@ -60,17 +60,42 @@ rule stiffness:
             settings.preset,
         ),
     shell:
-        "eofm stiffness {input.reference} {input.deformed} --bubbles {input.bubbles}"
+        "eofm stiffness --threads {threads} {input.reference} {input.deformed} --bubbles {input.bubbles}"
         " --output {output.stiffness} --displacement {output.displacement}"
         " --deviation {output.deviation} --stiffness-deviation {output.stiffness_deviation}"
         " {params.options} > {log} 2>&1"
+
+
+rule figures_ours:
+    input:
+        test5b="results/tests/5b/displacement.tif",
+        test5b_deviation="results/tests/5b/deviation.tif",
+        test6="results/tests/6/displacement.tif",
+        test6_deviation="results/tests/6/deviation.tif",
+        truth="results/phantom/true.tif",
+        tests=expand("results/tests/{test}/displacement.tif", test=TESTS),
+        code=code("figures.py"),
+    output:
+        test5b=test_figure("test5b", "5b"),
+        test6=test_figure("test6", "6"),
+        pdf=["results/figures/test5b.pdf", "results/figures/test6.pdf"],
+    log:
+        "logs/figures_ours.log",
+    benchmark:
+        "benchmarks/figures_ours.tsv"
+    resources:
+        mem_mb=500,
+    params:
+        figures=settings.figures.model_dump(),
+    script:
+        "../scripts/figures.py"
 
 
 rule figure_stiffness:
     input:
         stiffness="results/tests/6/stiffness.tif",
         deviation="results/tests/6/stiffness_deviation.tif",
-        code=code("figures", "forward"),
+        code=code("figure_stiffness.py"),
     output:
         png=report(
             "results/figures/stiffness.png",

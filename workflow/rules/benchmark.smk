@@ -25,7 +25,7 @@ rule benchmark:
 
 rule benchmark_pair:
     input:
-        code=code("phantom"),
+        code=code("benchmark_pair.py"),
     output:
         reference=f"{BENCHMARK}/{{image}}-{{size}}/reference.tif",
         deformed=f"{BENCHMARK}/{{image}}-{{size}}/deformed.tif",
@@ -51,8 +51,7 @@ rule benchmark_estimate:
         reference=f"{BENCHMARK}/dense-{{size}}/reference.tif",
         deformed=f"{BENCHMARK}/dense-{{size}}/deformed.tif",
         truth=f"{BENCHMARK}/dense-{{size}}/true.tif",
-        code=code("estimate"),
-        tools=["workflow/scripts/peers.py", "workflow/scripts/measure.py"],
+        code=code("benchmark_estimate.py"),
     output:
         f"{BENCHMARK}/estimate/{{tool}}-{{size}}.csv",
     log:
@@ -76,8 +75,7 @@ rule benchmark_solver:
     input:
         reference=f"{BENCHMARK}/{{image}}-{{size}}/reference.tif",
         deformed=f"{BENCHMARK}/{{image}}-{{size}}/deformed.tif",
-        code=code("multigrid"),
-        tools="workflow/scripts/measure.py",
+        code=code("benchmark_solver.py"),
     output:
         f"{BENCHMARK}/solver/{{regulariser}}-{{image}}-{{size}}.csv",
     log:
@@ -107,8 +105,7 @@ rule benchmark_tables:
             image=["dense", "sparse"],
             size=settings.benchmark.sizes,
         ),
-        code=code("figures"),
-        marks="workflow/scripts/marks.py",
+        code=code("benchmark.py"),
     output:
         estimate=report(
             f"{BENCHMARK}/estimate.csv",

@@ -1,6 +1,5 @@
 """Checked settings, and what every rule needs to state its command and its inputs."""
 
-import ast
 import io
 import json
 import os
@@ -33,25 +32,18 @@ OURS = ["5b", "6"]
 ROWS = ["background", *TESTS, *OURS]
 # Test 5's parameters for images of which nothing else is known: standard optical flow.
 IMAGES_ONLY = settings.estimation.changed(zero_edges=(), beta=0.0)
-FIGURES = ["figure3", "figure4", "figure5", "figure6", "figure7", "test2", "test4"]
 
-PACKAGE = Path(os.path.relpath(Path(eofm.__file__).parent))
-MODULES = {path.stem: path for path in PACKAGE.rglob("*.py")}
+SCRIPTS = Path(os.path.relpath(Path(workflow.basedir) / "workflow/scripts"))
+sys.path.insert(0, str(SCRIPTS))
+from imports import Sources
+
+SOURCES = Sources(Path(os.path.relpath(Path(eofm.__file__).parent)), SCRIPTS)
 
 
-def code(*modules):
-    """Files of modules of the package and of all that they import: editing one reruns a rule."""
-    found, queue = set(), ["cli", *modules]
-    while queue:
-        path = MODULES[queue.pop()]
-        if path in found:
-            continue
-        found.add(path)
-        for node in ast.parse(path.read_text()).body:
-            if isinstance(node, ast.ImportFrom) and node.module.startswith("eofm"):
-                names = [*node.module.split("."), *(a.name for a in node.names)]
-                queue += [name for name in names[1:] if name in MODULES]
-    return sorted(map(str, found))
+def code(name):
+    """Files behind a script NAME.py or a step of the command: editing one reruns a rule."""
+    of = SOURCES.of_script if name.endswith(".py") else SOURCES.of_step
+    return sorted(map(str, of(name)))
 
 
 def options(*sections):
@@ -137,6 +129,16 @@ def sample_files(row):
     names = [t[0] if isinstance(t, list) and t else t for t in texts]
     files = [str(name).partition("#")[0] for name in names if name]
     return [f for f in files if f.startswith("results/") or Path(f).is_file()]
+
+
+def test_figure(name, test):
+    """A figure of a test, shown in the report."""
+    return report(
+        f"results/figures/{name}.png",
+        caption="../report/figure_test.rst",
+        category="Tests",
+        labels={"figure": name, "test": test},
+    )
 
 
 def sample_figure(name):

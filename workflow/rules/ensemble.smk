@@ -13,7 +13,7 @@ rule ensemble:
 
 rule ensemble_phantom:
     input:
-        code=code("config", "phantom", "bubbles", "stiffness", "uncertainty", "metrics"),
+        code=code("ensemble_phantom.py"),
     output:
         **{
             name: f"{ENSEMBLE}/{{number}}/{name}.tif"
@@ -63,8 +63,7 @@ rule ensemble_peers:
         reference=f"{ENSEMBLE}/{{number}}/reference.tif",
         deformed=f"{ENSEMBLE}/{{number}}/deformed.tif",
         truth=f"{ENSEMBLE}/{{number}}/true.tif",
-        code=code("intensity", "metrics"),
-        tools="workflow/scripts/peers.py",
+        code=code("ensemble_peers.py"),
     output:
         f"{ENSEMBLE}/{{number}}/peers.csv",
     log:
@@ -85,8 +84,7 @@ rule ensemble_table:
     input:
         ours=expand("{folder}/{n}/errors.csv", folder=ENSEMBLE, n=NUMBERS),
         others=expand("{folder}/{n}/peers.csv", folder=ENSEMBLE, n=NUMBERS),
-        code=code("figures"),
-        marks="workflow/scripts/marks.py",
+        code=code("ensemble.py"),
     output:
         table=report(
             f"{ENSEMBLE}/test6.csv",

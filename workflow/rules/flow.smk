@@ -6,7 +6,7 @@ rule track:
         reference="results/phantom/reference.tif",
         deformed="results/phantom/deformed.tif",
         prediction="results/phantom/background.tif",
-        code=code("bubbles"),
+        code=code("track"),
     output:
         "results/bubbles.csv",
     log:
@@ -18,7 +18,7 @@ rule track:
     params:
         options=options(settings.tracking),
     shell:
-        "eofm track {input.reference} {input.deformed} --prediction {input.prediction}"
+        "eofm track --threads {threads} {input.reference} {input.deformed} --prediction {input.prediction}"
         " --output {output} {params.options} > {log} 2>&1"
 
 
@@ -49,5 +49,5 @@ rule estimate:
             f"--background {input.background}" if input.background else ""
         ),
     shell:
-        "eofm estimate {input.reference} {input.deformed} --bubbles {input.bubbles}"
+        "eofm estimate --threads {threads} {input.reference} {input.deformed} --bubbles {input.bubbles}"
         " {params.background} --output {output} {params.options} > {log} 2>&1"

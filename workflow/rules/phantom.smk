@@ -15,12 +15,12 @@ rule true_field:
     params:
         options=options(settings.sample, settings.forward),
     shell:
-        "eofm forward --output {output} {params.options} > {log} 2>&1"
+        "eofm forward --threads {threads} --output {output} {params.options} > {log} 2>&1"
 
 
 rule background_field:
     input:
-        code=code("forward"),
+        code=code("background"),
     output:
         "results/phantom/background.tif",
     log:
@@ -32,7 +32,7 @@ rule background_field:
     params:
         options=options(settings.sample, settings.forward),
     shell:
-        "eofm background --output {output} {params.options} > {log} 2>&1"
+        "eofm background --threads {threads} --output {output} {params.options} > {log} 2>&1"
 
 
 rule phantom:
@@ -52,5 +52,5 @@ rule phantom:
     params:
         options=options(settings.phantom),
     shell:
-        "eofm phantom {input.displacement} --reference {output.reference}"
+        "eofm phantom --threads {threads} {input.displacement} --reference {output.reference}"
         " --deformed {output.deformed} --table {output.table} {params.options} > {log} 2>&1"

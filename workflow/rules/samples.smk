@@ -11,7 +11,7 @@ rule samples:
 rule sample:
     input:
         files=lambda wildcards: sample_files(SAMPLES[wildcards.sample]),
-        code=code("report"),
+        code=code("sample"),
     output:
         displacement="results/samples/{sample}/displacement.tif",
         displacement_um="results/samples/{sample}/displacement_um.tif",
@@ -40,4 +40,4 @@ rule sample:
         options=lambda wildcards: sample_options(SAMPLES[wildcards.sample]),
         folder=lambda wildcards, output: Path(output.summary).parent,
     shell:
-        "eofm sample --folder {params.folder} {params.options} > {log} 2>&1"
+        "eofm sample --threads {threads} --folder {params.folder} {params.options} > {log} 2>&1"

@@ -1,37 +1,23 @@
-"""Errors of the tests and of the background alone, and Table 1."""
-
-
-rule evaluate:
-    input:
-        estimate=lambda wildcards: (
-            "results/phantom/background.tif"
-            if wildcards.test == "background"
-            else "results/tests/{test}/displacement.tif"
-        ),
-        truth="results/phantom/true.tif",
-        code=code("metrics"),
-    output:
-        "results/tests/{test}/errors.csv",
-    log:
-        "logs/evaluate/{test}.log",
-    benchmark:
-        "benchmarks/evaluate/{test}.tsv"
-    wildcard_constraints:
-        test="|".join(ROWS),
-    resources:
-        mem_mb=300,
-    shell:
-        "eofm evaluate {input.estimate} {input.truth} --output {output} > {log} 2>&1"
+"""Errors of the tests and of the background alone: Table 1 and the largest errors."""
 
 
 rule table1:
     input:
-        errors=expand("results/tests/{test}/errors.csv", test=ROWS),
+        background="results/phantom/background.tif",
+        tests=expand("results/tests/{test}/displacement.tif", test=[*TESTS, *OURS]),
+        truth="results/phantom/true.tif",
+        code=code("table1.py"),
     output:
+        errors=expand("results/tests/{test}/errors.csv", test=ROWS),
         csv="results/table1.csv",
         tex="results/table1.tex",
         html=report(
             "results/table1.html", caption="../report/table1.rst", category="Table 1"
+        ),
+        largest=report(
+            "results/largest_errors.csv",
+            caption="../report/largest_errors.rst",
+            category="Table 1",
         ),
     log:
         "logs/table1.log",

@@ -25,7 +25,7 @@ rule virtual_oct_tomograms:
     input:
         truth="results/phantom/true.tif",
         background="results/phantom/background.tif",
-        code=code("virtual_oct"),
+        code=code("virtual-oct"),
     output:
         reference=f"{VIRTUAL}/reference.tif",
         deformed=f"{VIRTUAL}/deformed.tif",
@@ -40,7 +40,7 @@ rule virtual_oct_tomograms:
     params:
         options=options(settings.virtual_oct),
     shell:
-        "eofm virtual-oct {input.truth} {input.background} --reference {output.reference}"
+        "eofm virtual-oct --threads {threads} {input.truth} {input.background} --reference {output.reference}"
         " --deformed {output.deformed} --truth {output.truth}"
         " --background {output.background} {params.options} > {log} 2>&1"
 
@@ -50,7 +50,7 @@ rule virtual_oct_track:
         reference=f"{VIRTUAL}/reference.tif",
         deformed=f"{VIRTUAL}/deformed.tif",
         prediction=f"{VIRTUAL}/background.tif",
-        code=code("bubbles"),
+        code=code("track"),
     output:
         f"{VIRTUAL}/bubbles.csv",
     log:
@@ -65,7 +65,7 @@ rule virtual_oct_track:
             settings.tracking.changed(gate=settings.tracking.gate * settings.virtual_oct.scale)
         ),
     shell:
-        "eofm track {input.reference} {input.deformed} --prediction {input.prediction}"
+        "eofm track --threads {threads} {input.reference} {input.deformed} --prediction {input.prediction}"
         " --output {output} {params.options} > {log} 2>&1"
 
 
@@ -95,7 +95,7 @@ rule virtual_oct_estimate:
             "--bubbles {} --background {}".format(*input.known) if input.known else ""
         ),
     shell:
-        "eofm estimate {input.reference} {input.deformed} {params.known}"
+        "eofm estimate --threads {threads} {input.reference} {input.deformed} {params.known}"
         " --output {output} {params.options} > {log} 2>&1"
 
 
@@ -108,7 +108,7 @@ rule virtual_oct_report:
         bubbles=f"{VIRTUAL}/bubbles.csv",
         standard=f"{VIRTUAL}/standard/displacement.tif",
         eofm=f"{VIRTUAL}/eofm/displacement.tif",
-        code=code("figures", "metrics"),
+        code=code("virtual_oct.py"),
     output:
         errors=report(
             f"{VIRTUAL}/errors.csv",

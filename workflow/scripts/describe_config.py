@@ -8,9 +8,9 @@ A test fails when the two files and the models drift apart.
 import json
 import types
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
-from eofm.app.config import Config
+from eofm.app.config import Config, load
 from eofm.settings import Pair, Section
 
 FOLDER = Path(__file__).parents[2] / "config"
@@ -25,32 +25,47 @@ def schema() -> str:
 def readme(text: str) -> str:
     """The README with its tables, below the mark, made anew."""
     head, _, _ = text.partition(MARK)
-    return head + MARK + "\n" + "\n".join([*_tables(Config, ""), *_tables(Pair, "pair.")])
+    experiment = load(FOLDER / "config.yaml").model_dump(mode="json")
+    lines = [*_tables(Config, "", experiment), *_tables(Pair, "pair.", None)]
+    return head + MARK + "\n" + "\n".join(lines)
 
 
-def _tables(model: type[Section], path: str) -> list[str]:
+def _tables(model: type[Section], path: str, values: Any) -> list[str]:
+    """The table of a model and those of the models inside it.
+
+    ``values`` are the experiment's: of one section, of a list or of a dictionary of them.
+    """
     lines, inner = [], []
     for name, field in model.model_fields.items():
         section = _section(field.annotation)
+        chosen = _each(values, name)
         if section:
-            entry = (
-                ""
-                if field.annotation is section
-                else ("[]" if "tuple" in str(field.annotation) else ".NAME")
-            )
-            inner += _tables(section, f"{path}{name}{entry}.")
+            plain = field.annotation is section
+            entry = "" if plain else "[]" if "tuple" in str(field.annotation) else ".NAME"
+            inner += _tables(section, f"{path}{name}{entry}.", chosen)
         if field.description:
-            default = (
-                json.loads(json.dumps(field.get_default(), default=str))
-                if not field.is_required()
-                else None
-            )
-            shown = "required" if field.is_required() else f"`{json.dumps(default)}`"
-            lines.append(f"| `{name}` | {field.description} | {shown} |")
+            default = "required" if field.is_required() else _shown(field.get_default())
+            last = "" if values is None else f" {_shown(chosen)} |"
+            lines.append(f"| `{name}` | {field.description} | {default} |{last}")
     if lines:
-        head = [f"\n### `{path.rstrip('.')}`\n", _summary(model), ""]
-        lines = [*head, "| key | meaning, unit | default |", "|---|---|---|", *lines]
+        head = [f"\n### `{path.rstrip('.')}`\n" if path else "\n### At the top\n"]
+        columns = ["key", "meaning, unit", "default"] + ["the experiment"] * (values is not None)
+        head += [_summary(model), "", f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
+        lines = [*head, *lines]
     return lines + inner + ([""] if not path else [])
+
+
+def _each(values: Any, name: str) -> Any:
+    """The value of a key; of several sections, those of each."""
+    if values is None or name in values:
+        return values and values[name]
+    if isinstance(values, list):
+        return [value[name] for value in values]
+    return {key: value[name] for key, value in values.items()}
+
+
+def _shown(value: Any) -> str:
+    return f"`{json.dumps(value, default=str)}`"
 
 
 def _summary(model: type[Section]) -> str:

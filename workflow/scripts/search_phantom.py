@@ -131,8 +131,9 @@ def main() -> None:
     config = load(args.config)
 
     def report(intermediate_result: OptimizeResult) -> None:
-        best = candidate(config, intermediate_result.x).model_dump(mode="json")
-        chosen = {name: best[name] for name in ("sample", "phantom")}
+        best = candidate(config, intermediate_result.x)
+        best = best.model_dump(mode="json", exclude_defaults=True)
+        chosen = {name: best.get(name, {}) for name in ("sample", "phantom")}
         print(f"# distance {intermediate_result.fun:.3f}\n{yaml.safe_dump(chosen)}", flush=True)
 
     rng = np.random.default_rng(0)

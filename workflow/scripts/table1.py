@@ -3,28 +3,45 @@
 from pathlib import Path
 
 import pandas as pd
-from paper import TABLE
+from paper import LARGEST, TABLE
 
-from eofm.io import replacing, write_table
+from eofm import io
+from eofm.analysis.metrics import relative_errors
+from eofm.grid import Array
 
 PAPER = ["paper_e_rel", "paper_e_rel_u1", "paper_e_rel_u2"]
 
 
-def collect(errors: list[str], tests: dict[str, dict]) -> pd.DataFrame:
-    """One row per file of errors, whose folder is named after the test."""
+def evaluate(estimate: str, truth: Array, path: str) -> pd.DataFrame:
+    """Errors of one field, which are also written to a file: a row with their names."""
+    row = pd.DataFrame([relative_errors(io.read_field(Path(estimate)), truth)])
+    io.write_table(Path(path), row)
+    return row
+
+
+def collect(errors: dict[str, pd.DataFrame], tests: dict[str, dict]) -> pd.DataFrame:
+    """One row per test, with the settings that tell the paper's tests apart."""
     rows = []
-    for path in map(Path, errors):
-        name = path.parent.name
+    for name, found in errors.items():
         row = {"test": name}
         if name in tests:
             estimation = tests[name]
             row |= {name: estimation[name] for name in ("alpha", "beta")}
             row["multiscale"] = "yes" if estimation["scales"] > 1 else "no"
-        row |= pd.read_csv(path).iloc[0].to_dict()
+        row |= found.iloc[0].to_dict()
         row |= dict(zip(PAPER, TABLE.get(name, ()), strict=False))
         rows.append(row)
-    columns = ["test", "alpha", "beta", "multiscale", *pd.read_csv(errors[0]).columns, *PAPER]
+    columns = ["test", "alpha", "beta", "multiscale", *found.columns, *PAPER]
     return pd.DataFrame(rows).reindex(columns=columns)
+
+
+def largest(table: pd.DataFrame) -> pd.DataFrame:
+    """Largest errors in px, beside those that the paper quotes."""
+    columns = ["max_error_u1", "max_error_u2"]
+    paper = pd.DataFrame.from_dict(
+        LARGEST, orient="index", columns=[f"paper_{name}" for name in columns]
+    )
+    return table[["test", *columns]].join(paper, on="test")
 
 
 def for_people(table: pd.DataFrame) -> pd.DataFrame:
@@ -50,10 +67,18 @@ def for_people(table: pd.DataFrame) -> pd.DataFrame:
     return shown
 
 
-table = collect(snakemake.input.errors, snakemake.params.tests)
-write_table(Path(snakemake.output.csv), table)
+truth = io.read_field(Path(snakemake.input.truth))
+names = [Path(path).parent.name for path in snakemake.output.errors]
+fields = [snakemake.input.background, *snakemake.input.tests]
+errors = {
+    name: evaluate(field, truth, path)
+    for name, field, path in zip(names, fields, snakemake.output.errors, strict=True)
+}
+table = collect(errors, snakemake.params.tests)
+io.write_table(Path(snakemake.output.csv), table)
+io.write_table(Path(snakemake.output.largest), largest(table))
 style = for_people(table).style.hide(axis="index").format(na_rep="–", precision=2)
-with replacing(Path(snakemake.output.html)) as path:
+with io.replacing(Path(snakemake.output.html)) as path:
     style.set_table_styles(
         [
             {"selector": "", "props": "border-collapse: collapse; font: 14px sans-serif"},
@@ -67,7 +92,7 @@ latex.columns = latex.columns.str.replace(r"e_rel\((u\d?)\)", r"$e_{rel}(\1)$", 
 latex.columns = latex.columns.str.translate(
     str.maketrans({"%": r"\%", "α": r"$\alpha$", "β": r"$\beta$", "|": r"$\vert$"})
 )
-with replacing(Path(snakemake.output.tex)) as path:
+with io.replacing(Path(snakemake.output.tex)) as path:
     styler = latex.style.hide(axis="index").format(na_rep="--", precision=2)
     path.write_text(
         styler.to_latex(hrules=True, column_format="l" + "r" * (len(latex.columns) - 1))
