@@ -62,7 +62,9 @@ rule virtual_oct_track:
     params:
         # The error of the prediction grows with the sample.
         options=options(
-            settings.tracking.changed(gate=settings.tracking.gate * settings.virtual_oct.scale)
+            settings.tracking.changed(
+                gate=settings.tracking.gate * settings.virtual_oct.scale
+            )
         ),
     shell:
         "eofm track --threads {threads} {input.reference} {input.deformed} --prediction {input.prediction}"
