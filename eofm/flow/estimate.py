@@ -13,8 +13,10 @@ from eofm.flow.matching import ImagePair, Match, random_signs
 from eofm.flow.multigrid import multigrid
 from eofm.flow.problem import Problem, normalised
 from eofm.flow.pyramid import sampled
+from eofm.flow.trust import Trust, judge
 from eofm.grid import (
     Array,
+    Edge,
     componentwise,
 )
 from eofm.imaging.splines import resize_field
@@ -38,6 +40,8 @@ class Estimate:
         Filter of the linearised images, see :meth:`eofm.flow.matching.Match.filtered`.
     functional : Quadratic
         The F that was minimised last.
+    edges : tuple of str
+        Those whose motion was stated.
     """
 
     u: Array
@@ -45,12 +49,19 @@ class Estimate:
     pair: ImagePair
     denoising: float | None
     functional: Quadratic
+    edges: tuple[Edge, ...] = ()
 
     @cached_property
     def match(self) -> Match:
         """The images linearised about ``u``, in true lengths."""
         h = componentwise(self.pair.grid.spacing, 2)
         return self.pair.linearise(h * self.u).filtered(self.denoising)
+
+    @cached_property
+    def trust(self) -> Trust:
+        """Whether the images bear the estimate out."""
+        match = self.pair.linearise(componentwise(self.pair.grid.spacing, 2) * self.u)
+        return judge(self.pair.I1, self.pair.I1 + match.r, match.used, self.u, self.edges)
 
     def deviation(self, samples: int = 32, seed: int = 0) -> Array:
         """Return the standard deviation of the displacement at each pixel, px.
@@ -162,4 +173,4 @@ def estimate_displacement(
         level = problem.level(number, J1, J2)
         u, alpha, F, chosen = level.improve(resize_field(u, level.shape), chosen, progress)
     u = u / componentwise(problem.grids[-1].spacing, 2)
-    return Estimate(u, alpha, level.pair, settings.denoising, F)
+    return Estimate(u, alpha, level.pair, settings.denoising, F, tuple(problem.v_edges))

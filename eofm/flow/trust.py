@@ -1,0 +1,329 @@
+"""Whether the images bear an estimate out: a verdict with its reasons.
+
+After the second image has been carried back by an estimate, small windows of both images should
+match where they are. Each window is correlated with the other image's at all offsets up to a
+quarter of its side, as in particle image velocimetry (Keane and Adrian, Appl. Sci. Res. 49, 1992):
+where the highest peak stands at no offset, the images agree with the estimate; where a clear peak
+stands elsewhere, they contradict it. By chance few windows agree, so no level of noise has to be
+known. Windows are normalised one by one: brightness and contrast may change from place to place.
+"""
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, fields
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from eofm.grid import FACES, Array, Edge, Mask, componentwise
+
+Verdict = Literal["good", "doubtful", "failed"]
+
+# Sides of the windows, px, and how many of them an image should hold across.
+SIDES, ACROSS = (24, 64), 6
+# Part of a window that has to carry data, and contrast of one that shows something, relative to
+# the image's.
+SEEN, CONTRAST = 0.5, 0.01
+# Height of a clear peak, in robust standard deviations of the correlation around it.
+CLEAR = 5.0
+# Distance of a peak from no offset that is none, px, and how much higher one elsewhere stands.
+NEAR, HIGHER = 1.5, 0.05
+# Share of agreeing windows below which an estimate is doubtful, and has failed. Of windows that
+# have nothing in common, three in a hundred agree by chance.
+AGREED = 0.75, 0.25
+# What else raises doubts: the share of windows that contradict, the share that agree in a part of
+# the image, the median correlation, the drift of a part in px, the share of pixels that are folded
+# over, and that carry data.
+CONTRADICTED, PARTLY, CORRELATED, DRIFTED, FOLDED, USED = 0.05, 0.5, 0.5, 0.3, 0.005, 0.1
+# Parts of the image across which a drift counts, and windows that tell it.
+PARTS, FEW = 3, 3
+# Differences of images and displacements that are none.
+SAME = 1e-9
+TINY = np.finfo(np.float64).tiny
+
+
+@dataclass(frozen=True)
+class Trust:
+    """What the images say of an estimate.
+
+    Attributes
+    ----------
+    verdict : {"good", "doubtful", "failed"}
+    reasons : tuple of str
+        Why it is not good, and what to do, a line each.
+    map : ndarray, shape (height, width)
+        Correlation of the images around each pixel, from 0 (or contradicted) to 1; NaN where
+        there is no data.
+    agreeing, contradicting : float
+        Shares of the windows with data whose highest peak stands at no offset, and clearly
+        elsewhere.
+    part : float
+        Least share of agreeing windows in a part of the image.
+    correlation : float
+        Median of the correlation at no offset.
+    drift : float
+        Largest offset of the peaks in a part of the image, median of its windows, px.
+    folded, used : float
+        Shares of the pixels where ``det(I + grad u) <= 0``, and that carry data.
+    """
+
+    verdict: Verdict
+    reasons: tuple[str, ...]
+    map: Array
+    agreeing: float
+    contradicting: float
+    part: float
+    correlation: float
+    drift: float
+    folded: float
+    used: float
+
+    def summary(self) -> dict[str, float | str | list[str]]:
+        """Return all but the map, for a file."""
+        numbers = {f.name: getattr(self, f.name) for f in fields(self) if f.type is float}
+        return {"verdict": self.verdict, "reasons": list(self.reasons), **numbers}
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Correlations of windows on a grid of rows and columns.
+
+    Attributes
+    ----------
+    rows, columns : ndarray
+        Centres of the windows, px.
+    here : ndarray, shape (rows, columns)
+        Correlation at offsets of up to ``NEAR`` px; NaN where there is no data.
+    offset : ndarray, shape (2, rows, columns)
+        Of the peak there, px.
+    agrees, contradicts : ndarray of bool, shape (rows, columns)
+    """
+
+    rows: Array
+    columns: Array
+    here: Array
+    offset: Array
+    agrees: Mask
+    contradicts: Mask
+
+    def parts(self) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+        """Yield the index of the windows with data in each part of the image."""
+        known = np.isfinite(self.here)
+        for rows in np.array_split(np.arange(len(self.rows)), PARTS):
+            for columns in np.array_split(np.arange(len(self.columns)), PARTS):
+                i, j = np.nonzero(known[np.ix_(rows, columns)])
+                if len(i) >= FEW:
+                    yield rows[i], columns[j]
+
+    def least(self) -> float:
+        """Least share of agreeing windows in a part of the image."""
+        return min((float(self.agrees[part].mean()) for part in self.parts()), default=1.0)
+
+    def drift(self) -> float:
+        """Largest median offset of the agreeing windows in a part of the image, px."""
+        largest = 0.0
+        for part in self.parts():
+            agrees = self.agrees[part]
+            if agrees.sum() >= FEW:
+                offset = np.median([c[part][agrees] for c in self.offset], axis=1)
+                largest = max(largest, float(np.hypot(*offset)))
+        return largest
+
+    def on_pixels(self, shape: tuple[int, ...]) -> Array:
+        """Return the correlation at each pixel, zero where windows do not agree."""
+        values = np.where(self.agrees, np.clip(self.here, 0, 1), 0.0)
+        for axis, (n, centres) in enumerate(zip(shape, (self.rows, self.columns), strict=True)):
+            at = np.clip(np.arange(n), centres[0], centres[-1])
+            values = np.apply_along_axis(lambda v: np.interp(at, centres, v), axis, values)  # noqa: B023
+        return values
+
+
+def correlate(I1: Array, I2: Array, used: Mask, side: int | None = None) -> Windows:
+    """Correlate windows of two images that should match where they are.
+
+    Parameters
+    ----------
+    I1, I2 : ndarray, shape (height, width)
+    used : ndarray of bool, shape (height, width)
+        Pixels that carry data in both.
+    side : int, optional
+        Of the windows, px; by default what leaves some across the image.
+    """
+    if side is None:
+        side = int(np.clip(min(I1.shape) // ACROSS, *SIDES)) // 4 * 4
+    side = min(side, *I1.shape)
+    rows, columns = (_starts(n, side) for n in I1.shape)
+    hann = np.hanning(side + 2)[1:-1]
+    window: Array = np.outer(hann, hann)
+    least = [CONTRAST * np.std(I[used]) if used.any() else 0.0 for I in (I1, I2)]
+    reach = side // 4
+    offsets = np.arange(-reach, reach + 1)
+    # Windows that are shifted overlap less, which would lower peaks that stand off the middle.
+    overlap = np.correlate(hann, hann, "full")[side - 1 + offsets] / (hann @ hann)
+    near = np.hypot(*np.meshgrid(offsets, offsets)) <= NEAR
+    here, elsewhere, spread = (np.full((len(rows), len(columns)), np.nan) for _ in range(3))
+    offset = np.full((2, len(rows), len(columns)), np.nan)
+    for i, r in enumerate(rows):
+        bands = [
+            np.stack([f[r : r + side, c : c + side] for c in columns]).astype(np.float64)
+            for f in (I1, I2, used)
+        ]
+        weight = window * bands[2]
+        seen = weight.sum(axis=(1, 2)) >= SEEN * window.sum()
+        a, size1 = _standardised(bands[0], weight)
+        b, size2 = _standardised(bands[1], weight)
+        seen &= (size1 > least[0]) | (size2 > least[1])
+        if not seen.any():
+            continue
+        a, b = a[seen], b[seen]
+        plane = fft.irfft2(np.conj(fft.rfft2(a)) * fft.rfft2(b), s=(side, side))
+        plane = plane[:, offsets[:, None], offsets] / np.outer(overlap, overlap)
+        here[i, seen] = plane[:, near].max(axis=1)
+        elsewhere[i, seen] = plane[:, ~near].max(axis=1)
+        offset[:, i, seen] = _peaks(plane)
+        spread[i, seen] = np.median(np.abs(plane[:, ~near]), axis=1) / 0.6745
+    clear = CLEAR * np.maximum(spread, TINY)
+    with np.errstate(invalid="ignore"):
+        agrees = here > elsewhere
+        contradicts = (elsewhere > here + HIGHER) & (elsewhere > clear)
+    middle = (side - 1) / 2
+    return Windows(rows + middle, columns + middle, here, offset, agrees, contradicts)
+
+
+def folds(u: Array) -> float:
+    """Share of the pixels where ``det(I + grad u) <= 0``, for ``u`` in px."""
+    n = len(u)
+    gradient = np.stack([np.stack(np.gradient(c)[::-1]) for c in u])
+    gradient += componentwise(np.eye(n).ravel(), n).reshape(n, n, *[1] * n)
+    return float(np.mean(np.linalg.det(np.moveaxis(gradient, (0, 1), (-2, -1))) <= 0))
+
+
+def judge(I1: Array, warped: Array, used: Mask, u: Array, edges: Collection[Edge] = ()) -> Trust:
+    """Verdict on a displacement.
+
+    Parameters
+    ----------
+    I1, warped : ndarray, shape (height, width)
+        The image before compression, and the one after it at ``x + u(x)``.
+    used : ndarray of bool, shape (height, width)
+        Pixels that carry data: neither dead nor moved out of the image.
+    u : ndarray, shape (2, height, width)
+        In px.
+    edges : collection of str
+        Those whose motion was stated.
+    """
+    windows = correlate(I1, warped, used)
+    known = np.isfinite(windows.here)
+    count = max(int(known.sum()), 1)
+    shares = {
+        "agreeing": float(windows.agrees.sum() / count),
+        "contradicting": float(windows.contradicts.sum() / count),
+        "correlation": float(np.median(windows.here[known])) if known.any() else 0.0,
+        "part": windows.least(),
+        "drift": windows.drift(),
+        "folded": folds(u),
+        "used": float(used.mean()),
+    }
+    failed = _failures(**shares)
+    doubts = [] if failed else _doubts(**shares)
+    doubts += _contradicted(windows, edges)
+    if np.allclose(I1, warped, atol=SAME) and np.allclose(u, 0, atol=SAME):
+        doubts.append("both images are the same; check that the right files were given")
+    verdict: Verdict = "failed" if failed else "doubtful" if doubts else "good"
+    trust = np.where(used, windows.on_pixels(I1.shape), np.nan)
+    return Trust(verdict, (*failed, *doubts), trust, **shares)
+
+
+def _failures(agreeing: float, contradicting: float, used: float, **_: float) -> list[str]:
+    if used == 0:
+        return ["no part of the image carries data; check the mask and the motion"]
+    if agreeing < max(AGREED[1], contradicting):
+        return [
+            f"only {agreeing:.0%} of the image match the other one after the motion; check that"
+            " both show the same sample, or state its edges or a background"
+        ]
+    return []
+
+
+def _doubts(
+    agreeing: float,
+    contradicting: float,
+    part: float,
+    correlation: float,
+    drift: float,
+    folded: float,
+    used: float,
+) -> list[str]:
+    doubts = []
+    if used < USED:
+        doubts.append(f"only {used:.0%} of the image carry data; make the mask smaller")
+    if agreeing < AGREED[0]:
+        doubts.append(
+            f"only {agreeing:.0%} of the image match after the motion; see the map of trust"
+        )
+    elif part < PARTLY:
+        doubts.append(
+            f"in a part of the image only {part:.0%} match after the motion; see the map of trust"
+        )
+    if contradicting > CONTRADICTED:
+        doubts.append(
+            f"{contradicting:.0%} of the image match better elsewhere; the motion may be too large,"
+            " or what was stated of it wrong"
+        )
+    if correlation < CORRELATED:
+        doubts.append(
+            f"the images correlate by {correlation:.2f} only; average frames, or press in smaller"
+            " steps"
+        )
+    if drift > DRIFTED:
+        doubts.append(f"a part of the image is off by {drift:.1f} px; see the map of trust")
+    if folded > FOLDED:
+        doubts.append(f"the motion folds {folded:.1%} of the image over, which no sample does")
+    return doubts
+
+
+def _contradicted(windows: Windows, edges: Collection[Edge]) -> list[str]:
+    """Edges whose stated motion the windows beside them contradict."""
+    doubts = []
+    for edge in edges:
+        beside = FACES[edge].pixels()
+        told = np.isfinite(windows.here[beside])
+        off = ~windows.agrees[beside] | (np.hypot(*windows.offset[:, *beside]) > 2 * DRIFTED)
+        if told.any() and off[told].mean() > 0.5:
+            doubts.append(f"{edge}: the images contradict the motion that was stated; check it")
+    return doubts
+
+
+def _peaks(plane: Array) -> Array:
+    """Offsets of the highest peaks near the middle of planes, shape (2, n), px.
+
+    A parabola through the logarithm of a Gaussian peak finds its top; here the peak is that of a
+    correlation, and one through its values does.
+    """
+    m = plane.shape[1] // 2
+    part = plane[:, m - 1 : m + 2, m - 1 : m + 2]
+    k = part.reshape(len(part), 9).argmax(axis=1)
+    rows, columns = m - 1 + k // 3, m - 1 + k % 3
+    n = np.arange(len(plane))
+    tops = []
+    for di, dj, start in ((0, 1, columns), (1, 0, rows)):
+        low, middle, high = (plane[n, rows + s * di, columns + s * dj] for s in (-1, 0, 1))
+        curvature = np.minimum(low - 2 * middle + high, -TINY)
+        tops.append(start - m + np.clip(0.5 * (low - high) / curvature, -0.5, 0.5))
+    return np.stack(tops)
+
+
+def _starts(n: int, side: int) -> NDArray[np.intp]:
+    """First pixels of windows that overlap by half or more and reach from end to end."""
+    count = max(1, -(-2 * (n - side) // side) + 1)
+    return np.linspace(0, n - side, count).round().astype(np.intp)
+
+
+def _standardised(f: Array, weight: Array) -> tuple[Array, Array]:
+    """Windows less their weighted means, times the weights, of norm 1; and their contrasts."""
+    total = np.maximum(weight.sum(axis=(1, 2), keepdims=True), TINY)
+    f = weight * (f - (weight * f).sum(axis=(1, 2), keepdims=True) / total)
+    size = np.sqrt((f * f).sum(axis=(1, 2), keepdims=True))
+    contrast = size / np.sqrt(np.maximum((weight**2).sum(axis=(1, 2), keepdims=True), TINY))
+    return f / np.maximum(size, TINY), contrast[:, 0, 0]
