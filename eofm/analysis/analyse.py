@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from eofm.analysis.quality import data_share, inconsistency, residual
 from eofm.analysis.strain import FILTER, strain
@@ -16,12 +15,18 @@ from eofm.errors import InputError
 from eofm.flow.estimate import Estimate, estimate_displacement
 from eofm.flow.known import Known
 from eofm.flow.problem import normalised
+from eofm.flow.trust import Trust, Verdict
 from eofm.grid import FACES, Array, Mask, unit_spacing
 from eofm.identification.stiffness import Stiffness, identify_stiffness
 from eofm.identification.uncertainty import deviations
 from eofm.imaging.bubbles import track
 from eofm.imaging.splines import warp_field
 from eofm.settings import Estimation, Identification, Measures, Sample, Tracking
+
+# Correlation of the images above which bubbles that move otherwise by so many px are left out.
+SURE, CONTRADICTING = 0.5, 1.5
+# Median error bar, and median forward-backward error, that raise doubts, px.
+LONG = 0.25
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,6 +46,8 @@ class Step:
     bubbles : DataFrame
     inconsistency : ndarray, shape (height, width)
         Forward-backward error.
+    trust : Trust
+        Whether the images bear the estimate out.
     stiffness : Stiffness or None
     modulus_deviation : ndarray, shape (height, width), or None
         Standard deviation of the logarithm of its modulus.
@@ -51,6 +58,7 @@ class Step:
     standard: Array
     bubbles: pd.DataFrame
     inconsistency: Array
+    trust: Trust
     stiffness: Stiffness | None
     modulus_deviation: Array | None
 
@@ -89,6 +97,12 @@ class Analysis:
     residual: Array
     share: Array
     summary: dict[str, Any]
+
+    @property
+    def trust(self) -> Trust:
+        """The verdict of the step with the worst one."""
+        order = ("good", "doubtful", "failed")
+        return max((step.trust for step in self.steps), key=lambda t: order.index(t.verdict))
 
     def draw(self) -> "dict[str, Figure]":
         """Return the figures by name: pair, displacement, strain, quality and stiffness."""
@@ -224,12 +238,9 @@ def _step(
     plain = Estimation(method="paper", beta=0.0, warps=estimation.warps, **kept)
     alone = Known(dead=known.dead, pixel_size=known.pixel_size)
     standard = estimate_displacement(I1, I2, plain, alone, progress=progress).u
-    guess = standard if known.background is None else known.background
-    bubbles = track(I1, I2, tracking, prediction=guess)
-    if known.dead is not None:
-        bubbles = bubbles[~known.dead[_nearest(bubbles.x2), _nearest(bubbles.x1)]]
-    if bubbles.empty:
-        raise InputError("mask: leaves no bubble; make it smaller, or lower the threshold")
+    # Bubbles are sought where the images alone, followed as well as can be, say that they went.
+    images = estimate_displacement(I1, I2, Estimation(**kept), known, progress=progress)
+    bubbles = _tracked(I1, I2, tracking, images, known.dead)
     known = replace(known, bubbles=bubbles)
     stiffness, deviation, modulus_deviation = None, None, None
     if sought is None:
@@ -244,26 +255,58 @@ def _step(
         # What the way there has learnt, the way back knows too.
         edges = {edge: stiffness.scale * g for edge, g in known.edges.items()}
         known = replace(known, background=stiffness.elastic, edges=edges)
-    w = estimate_displacement(
-        I2,
-        I1,
-        estimation.changed(alpha=estimate.alpha),
-        known.backwards(I2.shape),
-        progress=progress,
-    ).u
+    back = known.backwards(I2.shape)
+    again = estimation.changed(alpha=estimate.alpha)
+    w = estimate_displacement(I2, I1, again, back, progress=progress).u
+    errors = inconsistency(estimate.u, w)
     return Step(
         estimate,
         deviation,
         standard,
         bubbles,
-        inconsistency(estimate.u, w),
+        errors,
+        _trust(estimate.trust, deviation, errors, known.dead),
         stiffness,
         modulus_deviation,
     )
 
 
-def _nearest(x: pd.Series) -> NDArray[np.int64]:
-    return x.round().to_numpy().astype(np.int64)
+def _tracked(
+    I1: Array, I2: Array, tracking: Tracking, images: Estimate, dead: Mask | None
+) -> pd.DataFrame:
+    """Bubbles outside of dead zones that do not contradict what the images say where they agree.
+
+    Raises
+    ------
+    InputError
+        If none is found, or none is left.
+    """
+    bubbles = track(I1, I2, tracking, prediction=images.u)
+    x = bubbles[["x1", "x2"]].to_numpy().T
+    at = tuple(x[::-1].round().astype(np.intp))
+    if dead is not None:
+        bubbles = bubbles[~dead[at]]
+        if bubbles.empty:
+            raise InputError("mask: leaves no bubble; make it smaller, or lower the threshold")
+        at = at[0][bubbles.index], at[1][bubbles.index]
+    off = np.hypot(*(bubbles[["u1", "u2"]].to_numpy().T - images.u[:, *at]))
+    sure = np.nan_to_num(images.trust.map)[at] > SURE
+    kept = bubbles[~sure | (off <= CONTRADICTING)]
+    return (bubbles if kept.empty else kept).reset_index(drop=True)
+
+
+def _trust(trust: Trust, deviation: Array | None, errors: Array, dead: Mask | None) -> Trust:
+    """The verdict, and what error bars and the way back add to it."""
+    live = np.isfinite(errors) if dead is None else np.isfinite(errors) & ~dead
+    doubts = []
+    if deviation is not None and (bar := float(np.median(np.hypot(*deviation)))) > LONG:
+        doubts.append(f"half of the error bars are longer than {bar:.2f} px")
+    if live.any() and (gap := float(np.median(errors[live]))) > LONG:
+        doubts.append(f"the way back misses the start by {gap:.2f} px in the median")
+    if not doubts:
+        return trust
+    verdict: Verdict = "failed" if trust.verdict == "failed" else "doubtful"
+    return replace(trust, verdict=verdict, reasons=(*trust.reasons, *doubts))
 
 
 def _summary(
@@ -296,4 +339,5 @@ def _summary(
         "axial_strain_mean": float(e[1].mean()),
         "dead_share": float(dead.mean()),
         "forward_backward_error_median_px": float(np.nanmedian(errors)),
+        "trust": [step.trust.summary() for step in steps],
     }

@@ -7,13 +7,22 @@ inside the functions, so that ``--help`` is instant.
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from eofm import io
-from eofm.app.options import Files, add_files, add_options, arguments_of, reads, sections_of, writes
+from eofm.app.options import (
+    Files,
+    Step,
+    add_files,
+    add_options,
+    arguments_of,
+    reads,
+    sections_of,
+    writes,
+)
 from eofm.errors import InputError
 from eofm.settings import (
     Estimation,
@@ -26,6 +35,12 @@ from eofm.settings import (
     VirtualOct,
 )
 from eofm.threads import use_threads
+
+if TYPE_CHECKING:
+    from eofm.flow.trust import Trust
+
+# Exit status of a step whose result must not be trusted.
+FAILED = 3
 
 DESCRIPTION = """\
 Displacement of soft samples between an image before and one after compression.
@@ -146,7 +161,7 @@ def estimate(
     bubbles: Bubbles = None,
     background: Annotated[Path | None, reads("background field (TIFF)")] = None,
     deviation: Deviation = None,
-) -> None:
+) -> "Trust":
     r"""Displacement between two images by elastographic optical flow.
 
       eofm estimate before.tif after.tif --bubbles bubbles.csv --output displacement.tif
@@ -160,7 +175,8 @@ def estimate(
       eofm estimate before.tif after.tif --bubbles bubbles.csv \
           --background background.tif --zero-edges top bottom --output u.tif
 
-    --deviation writes the standard deviation of u1 and u2 at each pixel.
+    --deviation writes the standard deviation of u1 and u2 at each pixel. Where the images do not
+    bear the estimate out, it says why; if they contradict it, the exit status is 3.
     """
     from eofm.flow.estimate import estimate_displacement
     from eofm.flow.known import Known
@@ -175,6 +191,7 @@ def estimate(
     io.write_field(output, estimate.u)
     if deviation and bars is not None:
         io.write_field(deviation, bars)
+    return estimate.trust
 
 
 def stiffness(
@@ -247,7 +264,7 @@ def sample(
     *,
     folder: Annotated[Path, writes("folder to write the results to")],
     settings: Annotated[Path | None, reads("file of settings (YAML)")] = None,
-) -> None:
+) -> "Trust":
     r"""Everything for one pair of images: displacement, strain, quality, figures.
 
       eofm sample --reference before.tif --deformed after.tif --folder results/mine \
@@ -257,7 +274,8 @@ def sample(
     Writes displacement.tif (px) and displacement_um.tif, its standard deviation, strain.tif,
     bubbles.csv, summary.json and figures; with --stiffness true also the relative modulus
     of a sample that is wholly in the image. Edges of which nothing is said are free. Settings may
-    come from a file (YAML, names as the options') where they are many; options win.
+    come from a file (YAML, names as the options') where they are many; options win. Where the
+    images do not bear the estimate out, it says why; if they contradict it, the exit status is 3.
     """
     if folder.is_file():
         raise InputError(f"{folder}: is a file; name a folder")
@@ -280,12 +298,13 @@ def sample(
         raise InputError(f"{folder.name}: {error}") from None
     folder.mkdir(parents=True, exist_ok=True)
     results.write(folder, pair.files)
+    return results.trust
 
 
 # Settings of everything for one pair, the columns of a table of samples.
 ANALYSIS = tuple(sections_of(sample).values())
 
-STEPS: tuple[Callable[..., None], ...] = (
+STEPS: tuple[Step, ...] = (
     forward,
     background,
     phantom,
@@ -299,14 +318,18 @@ STEPS: tuple[Callable[..., None], ...] = (
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one step; 0 if it worked, 1 if its input cannot be used, 2 for wrong usage."""
+    """Run one step.
+
+    Returns 0 if it worked, 1 if its input cannot be used, and 3 if what it wrote must not be
+    trusted; wrong usage ends with 2.
+    """
     args = _parser().parse_args(argv)
     name = _name(args.step)
     try:
         use_threads(args.threads)
         given = arguments_of(args.step, args)
         Files.of(args.step, given).check()
-        args.step(**given)
+        trust: Trust | None = args.step(**given)
     except (InputError, OSError) as error:
         print(f"eofm {name}: {error}", file=sys.stderr)
         return 1
@@ -319,10 +342,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 1
     except KeyboardInterrupt:
         return 130
-    return 0
+    if trust is None:
+        return 0
+    for reason in trust.reasons:
+        print(f"eofm {name}: {trust.verdict}: {reason}", file=sys.stderr)
+    return FAILED if trust.verdict == "failed" else 0
 
 
-def _name(step: Callable[..., None]) -> str:
+def _name(step: Step) -> str:
     return step.__name__.replace("_", "-")
 
 

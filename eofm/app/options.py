@@ -18,7 +18,7 @@ from eofm import io
 from eofm.errors import InputError
 from eofm.settings import PAPER, Estimation, Section
 
-Step = Callable[..., None]
+Step = Callable[..., Any]
 
 # Values for which help and tables say none.
 NONE = (None, ())

@@ -30,8 +30,9 @@ CLEAR = 5.0
 # Distance of a peak from no offset that is none, px, and how much higher one elsewhere stands.
 NEAR, HIGHER = 1.5, 0.05
 # Share of agreeing windows below which an estimate is doubtful, and has failed. Of windows that
-# have nothing in common, three in a hundred agree by chance.
-AGREED = 0.75, 0.25
+# have nothing in common three in a hundred agree by chance, and one in four after a flow has done
+# its best to make them alike.
+AGREED = 0.75, 0.35
 # What else raises doubts: the share of windows that contradict, the share that agree in a part of
 # the image, the median correlation, the drift of a part in px, the share of pixels that are folded
 # over, and that carry data.

@@ -12,7 +12,7 @@ from scipy.io import savemat
 
 import eofm
 from eofm.analysis.scene import read_scene
-from eofm.imaging.splines import evaluate_field, resize
+from eofm.imaging.splines import evaluate, evaluate_field, resize
 from eofm.settings import Estimation, Pair, Tracking
 
 QUICK = Estimation(method="paper", scales=3, limits=(0, 1))
@@ -289,3 +289,32 @@ def test_stiffness_wants_the_whole_sample(files):
     edges = {"top": "fixed", "bottom": "outside moved 0 -2.5"}
     with pytest.raises(eofm.InputError, match="stiffness: wants the whole sample"):
         read_scene(describe(files, **edges, stiffness=True))
+
+
+def test_large_motions_that_the_preset_follows_do_not_mislead_the_tracker(rng):
+    """Ten degrees of rotation: bubbles are sought where the images say they went."""
+    from conftest import speckle
+
+    x2, x1 = np.mgrid[:128, :160].astype(float)
+    c, s = np.cos(np.radians(10)) - 1, np.sin(np.radians(10))
+    u = np.stack([c * (x1 - 80) - s * (x2 - 64), s * (x1 - 80) + c * (x2 - 64)])
+    big = speckle((208, 240), rng, 2.0)
+    I1 = big[40:168, 40:200]
+    v = np.stack([c * (x1 - 80) + s * (x2 - 64), -s * (x1 - 80) + c * (x2 - 64)])
+    I2 = evaluate(big, np.stack([x1, x2]) + v + 40)
+    results = eofm.analyse(I1, I2, measures=eofm.Measures(error_bars=0))
+    inner = np.s_[24:-24, 24:-24]
+    assert np.hypot(*(results.u - u))[inner].mean() < 0.05
+    assert results.trust.verdict == "good"
+    assert results.summary["trust"][0]["verdict"] == "good"
+
+
+def test_a_pair_that_has_nothing_in_common_is_told_in_the_results(rng, tmp_path):
+    from conftest import speckle
+
+    results = eofm.analyse(*(speckle((64, 80), rng) for _ in range(2)))
+    assert results.trust.verdict == "failed"
+    results.write(tmp_path)
+    told = json.loads((tmp_path / "summary.json").read_text())["trust"][0]
+    assert told["verdict"] == "failed"
+    assert told["reasons"]

@@ -17,6 +17,8 @@ from eofm.app.cli import ANALYSIS
 from eofm.errors import InputError
 
 # Jobs run with this interpreter's commands, whatever the PATH of the caller.
+# A step that ends with 3 has written a result that it says not to trust: the log says why, and
+# what follows shows it.
 shell.prefix(
     f"set -euo pipefail; export PATH={shlex.quote(str(Path(sys.executable).parent))}:$PATH; "
 )

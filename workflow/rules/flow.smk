@@ -50,4 +50,4 @@ rule estimate:
         ),
     shell:
         "eofm estimate --threads {threads} {input.reference} {input.deformed} --bubbles {input.bubbles}"
-        " {params.background} --output {output} {params.options} > {log} 2>&1"
+        " {params.background} --output {output} {params.options} > {log} 2>&1 || [ $? -eq 3 ]"

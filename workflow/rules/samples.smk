@@ -40,4 +40,4 @@ rule sample:
         options=lambda wildcards: sample_options(SAMPLES[wildcards.sample]),
         folder=lambda wildcards, output: Path(output.summary).parent,
     shell:
-        "eofm sample --threads {threads} --folder {params.folder} {params.options} > {log} 2>&1"
+        "eofm sample --threads {threads} --folder {params.folder} {params.options} > {log} 2>&1 || [ $? -eq 3 ]"
