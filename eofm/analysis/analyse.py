@@ -21,7 +21,7 @@ from eofm.identification.stiffness import Stiffness, identify_stiffness
 from eofm.identification.uncertainty import deviations
 from eofm.imaging.bubbles import track
 from eofm.imaging.splines import warp_field
-from eofm.settings import Estimation, Identification, Measures, Sample, Tracking
+from eofm.settings import WARPING, Estimation, Identification, Measures, Sample, Tracking
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -221,7 +221,7 @@ def _step(
 ) -> Step:
     """Standard flow, tracked bubbles, EOFM or the identified sample, and EOFM backwards."""
     kept = estimation.model_dump(include={"scales", "factor", "limits", "local_window"})
-    plain = Estimation(method="paper", beta=0.0, warps=estimation.warps, **kept)
+    plain = Estimation(method="paper", beta=0.0, warps=estimation.warps, **WARPING, **kept)
     alone = Known(dead=known.dead, pixel_size=known.pixel_size)
     standard = estimate_displacement(I1, I2, plain, alone, progress=progress).u
     guess = standard if known.background is None else known.background
