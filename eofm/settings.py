@@ -227,7 +227,19 @@ PAPER = {
     "gradients": "reference",
     "scales": 4,
     "warps": 1,
+    "start": "zero",
+    "warped_by": "nothing",
+    "smoothness_of": "update",
+    "ends": "half",
+    "lengths": "scale",
     "denoising": 0.0,
+}
+# The reading of the multi-scale scheme that follows large motions, which the preset has.
+WARPING: dict[str, Any] = {
+    "warped_by": "u",
+    "smoothness_of": "v",
+    "ends": "full",
+    "lengths": "finest",
 }
 
 
@@ -261,6 +273,25 @@ class Estimation(Section):
     warps: int = Field(2, ge=1, description="linear solves per scale, each after a warp")
     start: Literal["zero", "background"] = Field(
         "background", description="field about which the images are linearised first"
+    )
+    warped_by: Literal["u", "v", "nothing"] = Field(
+        "u",
+        description="I2 is warped by the whole field, by what it adds to the background, or not",
+    )
+    smoothness_of: Literal["v", "update"] = Field(
+        "v",
+        description="R acts on all of v, or on what a scale adds: it takes the field of the scale"
+        " before for u_bg",
+    )
+    ends: Literal["full", "half"] = Field(
+        "full",
+        description="the last of several scales: the pixels, or the next coarser one, from which"
+        " u is interpolated",
+    )
+    lengths: Literal["finest", "scale"] = Field(
+        "finest",
+        description="whose px alpha, beta and sigma are measured in: the image's, or"
+        " each scale's own",
     )
     zero_edges: tuple[Edge, ...] = Field(
         (), description="edges with v = 0: top and bottom are Gamma_1 and Gamma_2"
@@ -299,6 +330,25 @@ class Estimation(Section):
             raise ValueError(
                 "alpha: wants a value with the smoothness 'gradient'; only that of 'bending' is"
                 " found well on held-out pixels"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _reading_makes_sense(self) -> Self:
+        for key, value in WARPING.items():
+            if self.smoothness == "bending" and getattr(self, key) != value:
+                raise ValueError(
+                    f"{key}: '{getattr(self, key)}' wants the smoothness 'gradient'; with"
+                    f" 'bending' it is '{value}'"
+                )
+        if self.warped_by != "u" and self.start == "background":
+            raise ValueError(
+                "start: 'background' wants images that are warped by u (warped_by); use zero"
+            )
+        if self.warped_by == "nothing" and self.warps > 1:
+            raise ValueError(
+                f"warps: wants 1 where nothing is warped (got {self.warps}); or let u warp I2"
+                " (warped_by)"
             )
         return self
 

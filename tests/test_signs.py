@@ -9,6 +9,7 @@ import pytest
 
 import eofm
 from eofm.imaging.splines import evaluate, gradient, warp
+from eofm.settings import WARPING
 
 RIGHT_DOWN = np.array([1.5, -0.75])
 
@@ -41,7 +42,7 @@ def test_warping_the_second_image_gives_the_first():
 
 def test_estimate_points_from_the_first_image_to_the_second():
     centre = np.array([25.0, 18.0])
-    settings = eofm.Estimation(method="paper", alpha=0.01, scales=3, warps=3)
+    settings = eofm.Estimation(method="paper", alpha=0.01, scales=3, warps=3, **WARPING)
     u = eofm.estimate_displacement(blob(centre), blob(centre + RIGHT_DOWN), settings).u
     np.testing.assert_allclose(u[:, 18, 25], RIGHT_DOWN, atol=0.1)
 

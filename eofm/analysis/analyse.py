@@ -21,7 +21,7 @@ from eofm.identification.stiffness import Stiffness, identify_stiffness
 from eofm.identification.uncertainty import deviations
 from eofm.imaging.bubbles import track
 from eofm.imaging.splines import warp_field
-from eofm.settings import Estimation, Identification, Measures, Sample, Tracking
+from eofm.settings import WARPING, Estimation, Identification, Measures, Sample, Tracking
 
 # Correlation of the images above which bubbles that move otherwise by so many px are left out.
 SURE, CONTRADICTING = 0.5, 1.5
@@ -235,7 +235,7 @@ def _step(
 ) -> Step:
     """Standard flow, tracked bubbles, EOFM or the identified sample, and EOFM backwards."""
     kept = estimation.model_dump(include={"scales", "factor", "limits", "local_window"})
-    plain = Estimation(method="paper", beta=0.0, warps=estimation.warps, **kept)
+    plain = Estimation(method="paper", beta=0.0, warps=estimation.warps, **WARPING, **kept)
     alone = Known(dead=known.dead, pixel_size=known.pixel_size)
     standard = estimate_displacement(I1, I2, plain, alone, progress=progress).u
     # Bubbles are sought where the images alone, followed as well as can be, say that they went.

@@ -14,11 +14,7 @@ from eofm.flow.multigrid import multigrid
 from eofm.flow.problem import Problem, normalised
 from eofm.flow.pyramid import sampled
 from eofm.flow.trust import Trust, judge
-from eofm.grid import (
-    Array,
-    Edge,
-    componentwise,
-)
+from eofm.grid import Array, Edge, componentwise, unit_spacing
 from eofm.imaging.splines import resize_field
 from eofm.settings import Estimation
 
@@ -33,13 +29,15 @@ class Estimate:
         Displacement ``u = u_bg + v``, px, with ``I2(x + u(x)) = I1(x)``: lateral (to the
         right) and axial (down) motion of what was at x before compression.
     alpha : float
-        Weight of the smoothness term on the finest scale.
+        Weight of the smoothness term on the last scale.
     pair : ImagePair
-        The images on the finest scale.
+        The images on the last scale.
     denoising : float, optional
         Filter of the linearised images, see :meth:`eofm.flow.matching.Match.filtered`.
     functional : Quadratic
         The F that was minimised last.
+    spacing : ndarray, shape (2, 1, 1)
+        Sides of a pixel in the unit of ``functional``, lateral and axial.
     edges : tuple of str
         Those whose motion was stated.
     """
@@ -49,19 +47,24 @@ class Estimate:
     pair: ImagePair
     denoising: float | None
     functional: Quadratic
+    spacing: Array
     edges: tuple[Edge, ...] = ()
 
     @cached_property
     def match(self) -> Match:
         """The images linearised about ``u``, in true lengths."""
-        h = componentwise(self.pair.grid.spacing, 2)
-        return self.pair.linearise(h * self.u).filtered(self.denoising)
+        u = resize_field(self.spacing * self.u, self.pair.grid.shape)
+        return self.pair.linearise(u).filtered(self.denoising)
 
     @cached_property
     def trust(self) -> Trust:
-        """Whether the images bear the estimate out."""
-        match = self.pair.linearise(componentwise(self.pair.grid.spacing, 2) * self.u)
-        return judge(self.pair.I1, self.pair.I1 + match.r, match.used, self.u, self.edges)
+        """Whether the images, on the last scale, bear the estimate out."""
+        grid = self.pair.grid
+        u = resize_field(self.spacing * self.u, grid.shape)
+        match = self.pair.linearise(u)
+        samples = u / componentwise(grid.spacing, 2)
+        trust = judge(self.pair.I1, self.pair.I1 + match.r, match.used, samples, self.edges)
+        return trust.on(self.u.shape[1:])
 
     def deviation(self, samples: int = 32, seed: int = 0) -> Array:
         """Return the standard deviation of the displacement at each pixel, px.
@@ -105,7 +108,7 @@ class Estimate:
             noise = random_signs(match.grid.shape, rng) * match.used * match.r
             b = match.g * noise + match.noise * F.rough(rng) / match.grid.areas
             v = multigrid(replace(F, terms=Pointwise(F.terms.A, b)), tol=1e-2)
-            yield v / componentwise(match.grid.spacing, 2)
+            yield resize_field(v, self.u.shape[1:]) / self.spacing
 
 
 def estimate_displacement(
@@ -149,6 +152,11 @@ def estimate_displacement(
     ``I_t = I2 - I1``. Pixels that leave the image, ``x + u0(x)`` outside of it, carry no
     data.
 
+    The paper leaves open how several scales go together; ``settings`` holds what can be read
+    into it. With ``method="paper"``, ``u0 = 0`` on all of them, the field of each scale is the
+    u_bg of the next, and half of the resolution is the last. That reading is the nearest to
+    the paper's table, and it cannot follow motions that are larger than the speckle.
+
     Examples
     --------
     >>> import numpy as np
@@ -166,11 +174,12 @@ def estimate_displacement(
     images = normalised(I1, I2, settings, known.pixel_size)
     problem = Problem.of(I1.shape, settings, known)
     pairs = zip(*(sampled(I, problem.grids) for I in images), strict=True)
-    u = problem.u_bg if settings.start == "background" else np.zeros_like(problem.u_bg)
+    u = problem.u_bg
     chosen: tuple[float, ...] = ()
     hidden = None if progress else True
     for number, (J1, J2) in enumerate(tqdm(pairs, "scales", len(problem.grids), disable=hidden)):
-        level = problem.level(number, J1, J2)
-        u, alpha, F, chosen = level.improve(resize_field(u, level.shape), chosen, progress)
-    u = u / componentwise(problem.grids[-1].spacing, 2)
-    return Estimate(u, alpha, level.pair, settings.denoising, F, tuple(problem.v_edges))
+        level = problem.level(number, J1, J2, u)
+        u, alpha, F, chosen = level.improve(chosen, progress)
+    spacing = componentwise(unit_spacing(known.pixel_size), 2)
+    u = problem.carried(u, I1.shape) / spacing
+    return Estimate(u, alpha, level.pair, settings.denoising, F, spacing, tuple(problem.v_edges))

@@ -17,8 +17,8 @@ from eofm.imaging.intensity import normalise, normalise_locally
 from eofm.imaging.splines import evaluate_field, resize, resize_field
 from eofm.settings import Estimation
 
-# Change of u by the last iteration of the last solve, px, which leaves a tenth of that; and of
-# solves that are followed by another about their result.
+# Change of u by the last iteration of a solve whose result stays, px, which leaves a tenth of that;
+# and of solves that are followed by another about their result.
 FINE, ROUGH = 1e-3, 1e-2
 
 
@@ -54,7 +54,9 @@ class Problem:
         background = np.zeros((2, *shape)) if known.background is None else known.background
         dead = np.zeros(shape, dtype=bool) if known.dead is None else known.dead
         spacing = unit_spacing(known.pixel_size)
-        grids = pyramid(shape, settings.scales, settings.factor, spacing)
+        # One scale is no multi-scale scheme, and has the pixels.
+        skipped = int(settings.ends == "half" and settings.scales != 1)
+        grids = pyramid(shape, settings.scales, settings.factor, spacing, skipped)
         u_bg, h = componentwise(spacing, 2) * background, componentwise(spacing, 1)
 
         def at(edge: Edge) -> Array:
@@ -66,22 +68,46 @@ class Problem:
         update = h * (motion - evaluate_field(background, x))
         return cls(settings, grids, u_bg, v_edges, h * x, update, dead.astype(float))
 
-    def level(self, number: int, I1: Array, I2: Array) -> "Level":
-        """Return the problem on one of the grids, with the images sampled there."""
+    def level(self, number: int, I1: Array, I2: Array, u: Array) -> "Level":
+        """Return the problem on one of the grids, with the images sampled there.
+
+        ``u`` is the field of the grid before. Where R acts on updates, it takes the part of u_bg.
+        """
         settings, grid, finest = self.settings, self.grids[number], number == len(self.grids) - 1
         live = resize(self.dead, grid.shape) < 0.5
         pair = ImagePair(grid, I1, I2, live, settings.gradients == "mean")
-        edges, known = _on_edges(grid, self.v_edges), []
+        u = self.carried(u, grid.shape)
+        u_bg = base = resize_field(self.u_bg, grid.shape)
+        edges, motion, known = _on_edges(grid, self.v_edges), self.motion, []
+        if settings.smoothness_of == "update":
+            base, v = u, u - u_bg
+            motion = motion - evaluate_field(v, self.x / componentwise(grid.spacing, 1))
+            edges = {edge: g - v[:, *FACES[edge].pixels()] for edge, g in edges.items()}
         if self.x.size and (settings.speckle_scales == "all" or not finest):
-            beta = _weights(grid, self.x, self.v_edges, settings)
-            known.append(speckle_term(grid, self.x, self.motion, beta, settings.sigma))
+            side = float(np.sqrt(np.prod(grid.spacing))) if settings.lengths == "scale" else 1.0
+            sigma = settings.sigma * side
+            beta = _weights(grid, self.x, self.v_edges, settings, sigma)
+            known.append(speckle_term(grid, self.x, motion, beta, sigma))
         if settings.edge_weight:
             known.append(edge_term(grid, edges, settings.edge_weight))
             edges = {}
-        u_bg = resize_field(self.u_bg, grid.shape)
         decides = settings.alpha is None and number >= len(self.grids) - 2 and enough(grid.shape)
         prescribed, free = _prescribed(grid, edges)
-        return Level(settings, pair, u_bg, prescribed, free, tuple(known), decides, finest)
+        still = settings.warped_by == "nothing" or (number == 0 and settings.start == "zero")
+        return Level(
+            settings, pair, u, u_bg, base, prescribed, free, tuple(known), decides, finest, still
+        )
+
+    def carried(self, u: Array, shape: tuple[int, int]) -> Array:
+        """The field of a grid on another one.
+
+        It is ``v`` that is carried, so that u_bg keeps its details and edges their motion, but
+        where both are only what the next solve starts from.
+        """
+        if self.settings.smoothness_of == "v" and self.settings.ends == "full":
+            return resize_field(u, shape)
+        v = u - resize_field(self.u_bg, u.shape[1:])
+        return resize_field(self.u_bg, shape) + resize_field(v, shape)
 
 
 @dataclass(frozen=True)
@@ -92,7 +118,11 @@ class Level:
     ----------
     settings : Estimation
     pair : ImagePair
-    u_bg : ndarray, shape (2, height, width)
+    u, u_bg : ndarray, shape (2, height, width)
+        The field so far, and the background.
+    base : ndarray, shape (2, height, width)
+        The field to which this grid adds ``v``, all of it or an update: u_bg, or what coarser
+        grids have made of it.
     prescribed : ndarray, shape (2, height, width)
         A field that is ``v`` on edges where it is prescribed, 0 elsewhere.
     free : ndarray of bool, shape (height, width)
@@ -101,50 +131,58 @@ class Level:
         Speckle term and weak edges.
     decides, finest : bool
         Whether alpha is chosen on it; whether it is the last one.
+    still : bool
+        Whether the images are linearised about no motion first.
     """
 
     settings: Estimation
     pair: ImagePair
+    u: Array
     u_bg: Array
+    base: Array
     prescribed: Array
     free: Mask
     terms: tuple[Pointwise, ...]
     decides: bool
     finest: bool
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Of the grid."""
-        return self.pair.grid.shape
+    still: bool
 
     def functional(self, match: Match, alpha: float) -> Quadratic:
         """F of ``v`` less what is prescribed."""
-        terms = sum(self.terms, start=match.density(self.u_bg))
+        terms = sum(self.terms, start=match.density(self.base))
         F = Quadratic(self.pair.grid, terms, alpha, self.free, self.settings.smoothness)
         return F.shifted(self.prescribed)
 
-    def improve(self, u: Array, chosen: tuple[float, ...], progress: bool) -> "Improved":
-        """Return a better displacement than ``u``, in true lengths.
+    def improve(self, chosen: tuple[float, ...], progress: bool) -> "Improved":
+        """Return a better displacement, in true lengths.
 
         ``chosen`` are the weights that coarser grids have chosen.
         """
-        settings, about = self.settings, self.u_bg + self.prescribed
+        settings, u, about = self.settings, self.u, self.base + self.prescribed
         # The first field of a scale may still be far from it, and its residual no noise.
         near = min(1, settings.warps - 1)
         for warp in range(settings.warps):
-            match = self.pair.linearise(u)
+            match = self._linearised(u, self.still and warp == 0)
             if warp >= near:
                 match = match.filtered(settings.denoising)
             alpha = settings.alpha or combined(chosen) or first_alpha(match)
             if self.decides and warp == near:
-                trial = choose_alpha(match, self.u_bg, self.prescribed, self.free, alpha)
+                trial = choose_alpha(match, self.base, self.prescribed, self.free, alpha)
                 chosen = *chosen, trial
                 alpha = combined(chosen) or trial
             F = self.functional(match, alpha)
-            change = FINE if self.finest and warp == settings.warps - 1 else ROUGH
+            last = warp == settings.warps - 1 and (
+                self.finest or settings.smoothness_of == "update"
+            )
+            change = FINE if last else ROUGH
             with solving(self.pair.grid, progress) as report:
                 u = about + multigrid(F, change=change, initial=u - about, report=report)
         return Improved(u, alpha, F, chosen)
+
+    def _linearised(self, u: Array, still: bool) -> Match:
+        """The images linearised about what I2 is warped by."""
+        by = u - self.u_bg if self.settings.warped_by == "v" else u
+        return self.pair.linearise(0 * u if still else by)
 
 
 class Improved(NamedTuple):
@@ -188,13 +226,9 @@ def _on_edges(grid: Grid, edges: dict[Edge, Array]) -> dict[Edge, Array]:
 
 
 def _weights(
-    grid: Grid, x: Array, known: dict[Edge, Array], settings: Estimation
+    grid: Grid, x: Array, known: dict[Edge, Array], settings: Estimation, sigma: float
 ) -> NDArray[np.float64]:
     """The weights beta_i, raised near edges whose motion is not known."""
-    near = [
-        face.distance(x, grid) < 2 * settings.sigma
-        for edge, face in FACES.items()
-        if edge not in known
-    ]
+    near = [face.distance(x, grid) < 2 * sigma for edge, face in FACES.items() if edge not in known]
     factor = np.where(np.any(near, axis=0), settings.edge_bubbles, 1.0) if near else 1.0
     return settings.beta * np.broadcast_to(factor, x.shape[1:])

@@ -21,12 +21,14 @@ def pyramid(
     scales: int | None,
     factor: float,
     spacing: tuple[float, float] = (1.0, 1.0),
+    skipped: int = 0,
 ) -> list[Grid]:
     """Grids from coarse to fine that share the corners of the image.
 
     Distances are measured in the same unit on all of them, in which ``spacing`` is that of
     the finest grid, so that displacements, bubbles, sigma, alpha and beta keep their
-    values from scale to scale. Without ``scales`` there are as many as leave 12 px.
+    values from scale to scale. Without ``scales`` there are as many as leave 12 px. The finest
+    ones that are ``skipped`` do not count, unless there is no other.
 
     Raises
     ------
@@ -35,7 +37,7 @@ def pyramid(
     """
     height, width = shape
     grids = [Grid(shape, spacing)]
-    for scale in range(1, scales or max(shape)):
+    for scale in range(1, scales + skipped if scales else max(shape)):
         rows, columns = (ceil((n - 1) * factor) + 1 for n in grids[-1].shape)
         least = SMALL if scales is None else SMALLEST
         if min(rows, columns) < least or (rows, columns) == grids[-1].shape:
@@ -43,12 +45,12 @@ def pyramid(
                 break
             raise InputError(
                 f"an image of {height} x {width} px is too small for {scales} scales;"
-                f" use at most {scale} (scales) or a factor nearer 1"
+                f" use at most {scale - skipped} (scales) or a factor nearer 1"
             )
         coarser = (width - 1) / (columns - 1), (height - 1) / (rows - 1)
         h1, h2 = (h * c for h, c in zip(spacing, coarser, strict=True))
         grids.append(Grid((rows, columns), (h1, h2)))
-    return grids[::-1]
+    return (grids[skipped:] or grids)[::-1]
 
 
 @contextmanager
@@ -70,6 +72,6 @@ def solving(grid: Grid, progress: bool) -> Iterator[Callable[[int, float], None]
 
 
 def sampled(I: Array, grids: Sequence[Grid]) -> list[Array]:
-    """The image on grids from coarse to fine, the last of which is its own."""
+    """The image on grids from coarse to fine."""
     spline = Spline(I)
-    return [*(spline.resize(grid.shape) for grid in grids[:-1]), I]
+    return [I if grid.shape == I.shape else spline.resize(grid.shape) for grid in grids]

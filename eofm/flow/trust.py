@@ -9,7 +9,7 @@ known. Windows are normalised one by one: brightness and contrast may change fro
 """
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 import numpy as np
@@ -79,6 +79,16 @@ class Trust:
     drift: float
     folded: float
     used: float
+
+    def on(self, shape: tuple[int, ...]) -> "Trust":
+        """Return the same with a map of another size, each pixel taking the nearest value."""
+        if shape == self.map.shape:
+            return self
+        rows, columns = (
+            np.linspace(0, old - 1, new).round().astype(np.intp)
+            for old, new in zip(self.map.shape, shape, strict=True)
+        )
+        return replace(self, map=self.map[np.ix_(rows, columns)])
 
     def summary(self) -> dict[str, float | str | list[str]]:
         """Return all but the map, for a file."""

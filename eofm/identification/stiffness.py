@@ -142,6 +142,8 @@ def identify_stiffness(
     motion = dict(known.edges) or press(sample)
     pixel_size = known.pixel_size
     _check(I1, I2, sample, motion)
+    if estimation.ends == "half":
+        raise InputError("ends: the stiffness wants an estimate that ends at 'full' resolution")
     slip = sample.contact == "slip"
     u_bg = deform(sample, motion, pixel_size=pixel_size, slip=slip)
     bar = tqdm(desc="stiffness", unit="step", disable=None if progress else True)

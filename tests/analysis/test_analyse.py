@@ -13,9 +13,9 @@ from scipy.io import savemat
 import eofm
 from eofm.analysis.scene import read_scene
 from eofm.imaging.splines import evaluate, evaluate_field, resize
-from eofm.settings import Estimation, Pair, Tracking
+from eofm.settings import WARPING, Estimation, Pair, Tracking
 
-QUICK = Estimation(method="paper", scales=3, limits=(0, 1))
+QUICK = Estimation(method="paper", scales=3, limits=(0, 1), **WARPING)
 
 
 @pytest.fixture
@@ -178,7 +178,7 @@ def test_brightness_that_changes_from_place_to_place(rng):
     shaded = I * (1 - 0.6 * x1 / 79) + 0.2 * x1 / 79
     plain, local = (
         eofm.estimate_displacement(
-            I, shaded, Estimation(method="paper", alpha=0.02, warps=3, local_window=w)
+            I, shaded, Estimation(method="paper", alpha=0.02, warps=3, local_window=w, **WARPING)
         ).u
         for w in (None, 8.0)
     )

@@ -115,7 +115,7 @@ def test_too_small_for_the_scales(tmp_path, capsys):
     small = tmp_path / "small.tif"
     tifffile.imwrite(small, np.eye(9, 12))
     words = ["estimate", small, small, "--output", tmp_path / "o", "--method", "paper"]
-    fails(capsys, words, "too small for 4 scales; use at most 2")
+    fails(capsys, words, "too small for 4 scales; use at most 1")
 
 
 @pytest.mark.parametrize(

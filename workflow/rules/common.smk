@@ -15,6 +15,7 @@ import eofm
 import eofm.app.config
 from eofm.app.cli import ANALYSIS
 from eofm.errors import InputError
+from eofm.settings import WARPING
 
 # Jobs run with this interpreter's commands, whatever the PATH of the caller.
 # A step that ends with 3 has written a result that it says not to trust: the log says why, and
@@ -32,8 +33,10 @@ TESTS = list(settings.tests)
 # Past the paper: the preset, and the preset with the identified sample's background.
 OURS = ["5b", "6"]
 ROWS = ["background", *TESTS, *OURS]
+# Past the paper, motions are larger than the speckle, and I2 is warped by u.
+WARPED = settings.estimation.changed(zero_edges=(), **WARPING)
 # Test 5's parameters for images of which nothing else is known: standard optical flow.
-IMAGES_ONLY = settings.estimation.changed(zero_edges=(), beta=0.0)
+IMAGES_ONLY = WARPED.changed(beta=0.0)
 
 SCRIPTS = Path(os.path.relpath(Path(workflow.basedir) / "workflow/scripts"))
 sys.path.insert(0, str(SCRIPTS))

@@ -6,7 +6,7 @@ VIRTUAL = "results/virtual_oct"
 # optical flow differs in what it lacks: bubbles and a background.
 METHODS = {
     "standard": IMAGES_ONLY,
-    "eofm": settings.estimation.changed(zero_edges=()),
+    "eofm": WARPED,
 }
 
 
