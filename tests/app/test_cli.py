@@ -187,8 +187,8 @@ def test_error_bars_and_stiffness_as_their_help_says(folder, tmp_path, capsys):
 
 
 def test_none_is_said_as_help_says_it(folder, tmp_path):
-    words = ["estimate", str(folder / "a.tif"), str(folder / "b.tif"), "--method", "paper"]
-    words += ["--output", str(tmp_path / "u.tif"), "--smoothness", "bending", "--scales", "none"]
+    words = ["estimate", str(folder / "a.tif"), str(folder / "b.tif")]
+    words += ["--output", str(tmp_path / "u.tif"), "--scales", "none"]
     assert main([*words, "--alpha", "none", "--limits", "none", "--zero-edges", "none"]) == 0
 
 
