@@ -24,11 +24,11 @@ check: .venv/installed
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache --no-logo
 	$(BIN)/python workflow/scripts/lint.py
-	$(BIN)/python workflow/scripts/numbers.py --check
+	$(BIN)/python workflow/scripts/quote_numbers.py --check
 
 # Puts the numbers of docs/figures into the texts that quote them.
 numbers: .venv/installed
-	$(BIN)/python workflow/scripts/numbers.py
+	$(BIN)/python workflow/scripts/quote_numbers.py
 
 .venv/installed: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
