@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[2]
-MARK = re.compile(r"(<!--(\w+): ([^>\s]+)(?: ([^>\s]+))?-->)(.*?)(<!--/-->)", re.DOTALL)
+MARK = re.compile(r"(<!--([a-z]\w*): ([^>\s]+)(?: ([^>\s]+))?-->)(.*?)(<!--/-->)", re.DOTALL)
 
 # Rows of Table 1: name, background, beta, multi-scale.
 TESTS = {
@@ -111,7 +111,7 @@ def filled(text: str) -> str:
         if name == "rows":
             head, *body = {"paper": table1, "ensemble": ensemble, "benchmark": benchmark}[key]()
             lines = [head, ["---"] * len(head), *body]
-            rows = [f"| {' | '.join(line)} |".replace("|  |", "| |") for line in lines]
+            rows = [f"| {' | '.join(line)} |" for line in lines]
             return "\n".join([start, *rows, end])
         return start + format(value(name, key), form or "") + end
 
