@@ -10,10 +10,19 @@ import quote_numbers
 
 
 def test_texts_and_numbers_agree():
-    texts = {path.name: path.read_text() for path in quote_numbers.texts()}
+    root = quote_numbers.ROOT
+    texts = {str(p.relative_to(root)): p.read_text() for p in quote_numbers.texts()}
     assert "<!--rows: paper-->" in texts["README.md"]
     for name, text in texts.items():
         assert quote_numbers.filled(text) == text, f"{name}: run make numbers"
+
+
+def test_no_quoted_number_begins_a_line_and_so_ends_a_paragraph():
+    for path in quote_numbers.texts():
+        lines = [line for line in path.read_text().splitlines() if line.startswith("<!--")]
+        for line in lines:
+            assert line.endswith("-->"), f"{path}: {line}"
+            assert line.startswith("<!--rows: ") or not quote_numbers.MARK.match(line), line
 
 
 def test_each_file_says_when_how_and_where():
