@@ -2,14 +2,19 @@
 PYTHON ?= python3
 CORES ?= 2
 BIN := .venv/bin
+PYTEST := $(BIN)/python -m pytest --numprocesses $(CORES) --dist loadgroup
 
-.PHONY: paper test check clean
+.PHONY: paper test quick check numbers clean
 
 paper: .venv/installed
 	$(BIN)/snakemake --cores $(CORES)
 
 test: .venv/installed
-	$(BIN)/python -m pytest
+	$(PYTEST)
+
+# The tests of daily work: without those that take more than some seconds.
+quick: .venv/installed
+	$(PYTEST) -m 'not slow'
 
 # What continuous integration checks before the tests.
 check: .venv/installed
@@ -17,7 +22,13 @@ check: .venv/installed
 	$(BIN)/ruff format --check .
 	$(BIN)/snakefmt --check Snakefile workflow
 	$(BIN)/mypy
+	$(BIN)/lint-imports --no-cache --no-logo
 	$(BIN)/python workflow/scripts/lint.py
+	$(BIN)/python workflow/scripts/quote_numbers.py --check
+
+# Puts the numbers of docs/figures into the texts that quote them.
+numbers: .venv/installed
+	$(BIN)/python workflow/scripts/quote_numbers.py
 
 .venv/installed: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \

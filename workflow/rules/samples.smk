@@ -1,7 +1,5 @@
 """Your own image pairs, one row of the table of samples each."""
 
-SAMPLES = read_samples(settings.samples)
-
 
 rule samples:
     input:

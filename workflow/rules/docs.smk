@@ -1,0 +1,71 @@
+"""Measured numbers that the texts quote: `make numbers` puts them there."""
+
+QUOTED = "docs/figures"
+
+
+rule numbers:
+    input:
+        expand(
+            "{folder}/{name}.json",
+            folder=QUOTED,
+            name=["paper", "ensemble", "benchmark"],
+        ),
+
+
+rule numbers_paper:
+    input:
+        table="results/table1.csv",
+        largest="results/largest_errors.csv",
+        bubbles="results/bubbles.csv",
+        truth="results/phantom/true.tif",
+        background="results/phantom/background.tif",
+        virtual_oct="results/virtual_oct/errors.csv",
+        code=code("numbers_paper.py"),
+    output:
+        f"{QUOTED}/paper.json",
+    log:
+        "logs/numbers/paper.log",
+    benchmark:
+        "benchmarks/numbers/paper.tsv"
+    resources:
+        mem_mb=1000,
+    params:
+        config=settings.model_dump(mode="json"),
+        command="snakemake --cores 2 docs/figures/paper.json",
+    script:
+        "../scripts/numbers_paper.py"
+
+
+rule numbers_ensemble:
+    input:
+        table="results/ensemble/test6.csv",
+        code=code("numbers_ensemble.py"),
+    output:
+        f"{QUOTED}/ensemble.json",
+    log:
+        "logs/numbers/ensemble.log",
+    benchmark:
+        "benchmarks/numbers/ensemble.tsv"
+    resources:
+        mem_mb=300,
+    params:
+        name="ensemble",
+        command="snakemake --cores 2 docs/figures/ensemble.json",
+    script:
+        "../scripts/numbers_ensemble.py"
+
+
+use rule numbers_ensemble as numbers_benchmark with:
+    input:
+        table="results/benchmark/estimate.csv",
+        solver="results/benchmark/solver.csv",
+        code=code("numbers_ensemble.py"),
+    output:
+        f"{QUOTED}/benchmark.json",
+    log:
+        "logs/numbers/benchmark.log",
+    benchmark:
+        "benchmarks/numbers/benchmark.tsv"
+    params:
+        name="benchmark",
+        command="snakemake --cores 2 docs/figures/benchmark.json",
