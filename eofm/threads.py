@@ -29,12 +29,12 @@ def use_threads(count: int | None) -> None:
     threadpool_limits(1, user_api="blas")
     if count is None:
         return
-    if "numba" in sys.modules:
-        import numba
+    if "eofm.compiled" in sys.modules:
+        from eofm import compiled
 
-        numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))  # type: ignore[attr-defined]
-    else:
-        os.environ["NUMBA_NUM_THREADS"] = str(min(count, os.cpu_count() or 1))
+        compiled.use_threads(count)
+    else:  # read when it is imported, which takes a while
+        os.environ["NUMBA_NUM_THREADS"] = str(count)
 
 
 def serial(function: Callable[P, R]) -> Callable[P, R]:
