@@ -45,11 +45,8 @@ FileName = Annotated[
 ]
 Region = tuple[int, int, int, int]
 
-EDGE_WORDS = (
-    "free; fixed; moved U1 U2 (px, or um if the word um follows); moved FILE (a table of u1, u2"
-    " in px, a row per pixel); outside (of the image, no condition), which may be followed by"
-    " what holds there for the elastic background"
-)
+# How the motion of an edge is said.
+EDGE_WORDS = "free, fixed, moved U1 U2 [um], moved FILE, or outside"
 
 
 class Section(BaseModel):
@@ -420,7 +417,12 @@ class Pair(Measures):
     )
     lateral_size: Positive = Field(1.0, description="width of a pixel, um")
     axial_size: Positive = Field(1.0, description="height of a pixel, um")
-    top: str = Field("free", description=EDGE_WORDS)
+    top: str = Field(
+        "free",
+        description=f"{EDGE_WORDS}: px unless the word um follows; FILE is a table of u1, u2 in px,"
+        " a row per pixel; outside (of the image, no condition) may be followed by what holds there"
+        " for the elastic background",
+    )
     bottom: str = Field("free", description="the same")
     left: str = Field("free", description="the same")
     right: str = Field("free", description="the same")

@@ -8,9 +8,7 @@ import numpy as np
 from eofm.errors import InputError
 from eofm.grid import FACES, Array, Edge, Face
 from eofm.io import read_columns
-from eofm.settings import Region
-
-WORDS = "free, fixed, moved U1 U2 [um], moved FILE, or outside"
+from eofm.settings import EDGE_WORDS, Region
 
 
 @dataclass(frozen=True)
@@ -78,7 +76,7 @@ def parse_edge(
     words = words[1:] if outside else words
     kind = words[0] if words else ("free" if outside else "")
     if kind not in ("free", "fixed", "moved") or (kind != "moved" and len(words) > 1):
-        raise InputError(f"{edge}: cannot read '{text}'; use {WORDS}")
+        raise InputError(f"{edge}: cannot read '{text}'; use {EDGE_WORDS}")
     if kind == "free":
         return EdgeState(outside, None)
     if kind == "fixed":
@@ -108,5 +106,5 @@ def _motion(edge: Edge, words: list[str], length: int, pixel_size: tuple[float, 
     except ValueError:
         motion = np.full((2, 1), np.nan)
     if motion.shape != (2, 1) or unit not in ("px", "um") or not np.isfinite(motion).all():
-        raise InputError(f"{edge}: cannot read 'moved {' '.join(words)}'; use {WORDS}")
+        raise InputError(f"{edge}: cannot read 'moved {' '.join(words)}'; use {EDGE_WORDS}")
     return motion / np.reshape(pixel_size, (2, 1)) if unit == "um" else motion

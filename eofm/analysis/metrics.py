@@ -54,16 +54,8 @@ def relative_errors(estimate: Array, truth: Array) -> dict[str, float]:
 def pixel_errors(estimate: Array, truth: Array) -> dict[str, float]:
     """Largest and median errors, and largest true displacements, all in px.
 
-    Parameters
-    ----------
-    estimate, truth : ndarray, shape (2, height, width)
-        Displacement fields, px.
-
-    Returns
-    -------
-    dict
-        ``max_error_u1``, ``max_error_u2``; ``median_error``, of the lengths of the
-        differences; ``max_true_u1``, ``max_true_u2``.
+    Of the same fields as :func:`relative_errors`: ``max_error_u1``, ``max_error_u2``;
+    ``median_error``, of the lengths of the differences; ``max_true_u1``, ``max_true_u2``.
     """
     error, size = np.abs(estimate - truth), np.abs(truth).max(axis=(1, 2))
     largest = error.max(axis=(1, 2))
