@@ -7,7 +7,7 @@ check and one description everywhere.
 
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import (
     AfterValidator,
@@ -22,12 +22,27 @@ from pydantic import (
 from eofm.errors import InputError
 from eofm.grid import Edge
 
-Positive = Annotated[float, Field(gt=0)]
+# Numbers beyond these have squares that are lost, or that nothing else can be added to.
+LEAST, LARGEST = 1e-30, 1e30
+
+# Pixels, and things, of which no image has more.
+FAR, MOST = 1_000_000, 10_000_000
+
+
+def _not_lost(value: float) -> float:
+    if value < LEAST:
+        raise ValueError(f"wants at least {LEAST:g} (got {value:g})")
+    return value
+
+
+Positive = Annotated[float, Field(gt=0, le=LARGEST), AfterValidator(_not_lost)]
 
 
 def _ascending(limits: tuple[float, float]) -> tuple[float, float]:
     if not limits[0] < limits[1]:
         raise ValueError(f"wants low < high (got {limits[0]:g}, {limits[1]:g})")
+    if not LEAST <= limits[1] - limits[0] <= LARGEST:
+        raise ValueError(f"are {limits[1] - limits[0]:g} apart; wants {LEAST:g} to {LARGEST:g}")
     return limits
 
 
@@ -36,6 +51,9 @@ def _spread(limits: tuple[float, float]) -> tuple[float, float]:
         raise ValueError(f"wants 0 < low <= high (got {limits[0]:g}, {limits[1]:g})")
     return limits
 
+
+# Letters of a wrong value that a message repeats.
+LONGEST = 100
 
 Range = tuple[float, float]
 Limits = Annotated[Range, AfterValidator(_ascending)]
@@ -53,6 +71,9 @@ class Section(BaseModel):
     """A group of settings; unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    # Keys of windows in px, which an image limits.
+    widths: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
     def takes_many(cls, name: str) -> bool:
@@ -73,6 +94,21 @@ class Section(BaseModel):
         except ValidationError as error:
             raise InputError(f"{where}: {_explain(error)}") from None
 
+    def check_widths(self, shape: tuple[int, ...]) -> None:
+        """Refuse windows that are wider than an image of a ``shape``.
+
+        Raises
+        ------
+        InputError
+            With the first key at fault.
+        """
+        for name in self.widths:
+            width = getattr(self, name)
+            if width is not None and width > max(shape):
+                raise InputError(
+                    f"{name}: {width:g} px is wider than the image, {shape[1]} x {shape[0]} px"
+                )
+
     def changed(self, **values: Any) -> Self:
         """Return the same settings with other values of some keys, checked like all others."""
         return self.parse(dict(self) | values, type(self).__name__.lower())
@@ -87,16 +123,18 @@ def _explain(error: ValidationError) -> str:
         return f"unknown key {name}; " + (f"did you mean {close[0]}?" if close else "misspelt?")
     message = first["msg"].removeprefix("Value error, ")
     if first["type"] == "value_error":
-        return f"{name}: {message}" if isinstance(first["input"], tuple | list) else message
-    got = "" if first["type"] == "missing" else f" (got {first['input']!r})"
+        return f"{name}: {message}" if not isinstance(first["input"], dict) else message
+    value = repr(first["input"])
+    value = value if len(value) <= LONGEST else value[:LONGEST] + "..."
+    got = "" if first["type"] == "missing" else f" (got {value})"
     return f"{name}: {message[0].lower()}{message[1:]}{got}"
 
 
 class Inclusion(Section):
     """A circular inclusion."""
 
-    x1: float = Field(description="lateral position of the centre, px")
-    x2: float = Field(description="axial position of the centre (down), px")
+    x1: float = Field(ge=-FAR, le=FAR, description="lateral position of the centre, px")
+    x2: float = Field(ge=-FAR, le=FAR, description="axial position of the centre (down), px")
     radius: Positive = Field(description="radius, px")
     stiffness: Positive = Field(description="Young's modulus relative to the background")
 
@@ -104,8 +142,10 @@ class Inclusion(Section):
 class Sample(Section):
     """The sample and how it is pressed."""
 
-    height: int = Field(ge=8, description="rows of the image, which shows the whole sample, px")
-    width: int = Field(ge=8, description="columns of the image, px")
+    height: int = Field(
+        ge=8, le=FAR, description="rows of the image, which shows the whole sample, px"
+    )
+    width: int = Field(ge=8, le=FAR, description="columns of the image, px")
     poisson_ratio: float = Field(0.49, gt=0, lt=0.5, description="Poisson ratio of all materials")
     plane: Literal["strain", "stress"] = Field("strain", description="plane strain or plane stress")
     inclusions: tuple[Inclusion, ...] = Field((), description="what differs from the background")
@@ -141,7 +181,7 @@ class Forward(Section):
 class Phantom(Section):
     """The scattering images of the simulated sample."""
 
-    count: int = Field(200, ge=1, description="number of bubbles")
+    count: int = Field(200, ge=1, le=MOST, description="number of bubbles")
     sigma: Spread = Field((1.23, 1.23), description="range of their standard deviations, px")
     brightness: Spread = Field((0.15, 0.22), description="range of their peak intensities")
     distance: float = Field(0.0, ge=0, description="least distance of two bubbles, px")
@@ -171,7 +211,9 @@ class VirtualOct(Section):
     density: Positive = Field(
         10.0, description="weak scatterers of the matrix in the area pi w1 w2 of an echo"
     )
-    reflectors: int = Field(1500, ge=0, description="number of strong reflectors in the sample")
+    reflectors: int = Field(
+        1500, ge=0, le=MOST, description="number of strong reflectors in the sample"
+    )
     reflector_level: Range = Field(
         (20.0, 30.0), description="range of their intensities, dB above the matrix's mean"
     )
@@ -200,16 +242,20 @@ class VirtualOct(Section):
 class Tracking(Section):
     """Detection and matching of bubbles."""
 
+    widths = ("smoothing", "window")
+
     smoothing: float = Field(0.7, ge=0, description="Gaussian applied before detection, px")
     threshold: float = Field(
         0.1, gt=0, lt=1, description="least brightness, as a part of the image's range"
     )
-    min_area: int = Field(4, ge=1, description="least area above the threshold, px^2")
-    max_area: int = Field(400, ge=1, description="largest area above the threshold, px^2")
+    min_area: int = Field(4, ge=1, le=FAR**2, description="least area above the threshold, px^2")
+    max_area: int = Field(
+        400, ge=1, le=FAR**2, description="largest area above the threshold, px^2"
+    )
     gate: Positive = Field(2.5, description="largest distance from the predicted position, px")
     window: Positive = Field(2.0, description="Gaussian window of the sub-pixel registration, px")
     quality: float = Field(0.8, ge=-1, lt=1, description="least correlation of the two windows")
-    neighbours: int = Field(8, ge=2, description="bubbles that a motion has to agree with")
+    neighbours: int = Field(8, ge=2, le=MOST, description="bubbles that a motion has to agree with")
     tolerance: Positive = Field(3.0, description="largest deviation from their median motion")
 
 
@@ -243,6 +289,8 @@ WARPING: dict[str, Any] = {
 class Estimation(Section):
     """The functional F, eq. (def_F), and the coarse-to-fine scheme."""
 
+    widths = ("sigma", "local_window", "denoising")
+
     method: Literal["preset", "paper"] = Field(
         "preset",
         description="whose defaults the other keys have: the accurate preset's, or the paper's",
@@ -264,10 +312,11 @@ class Estimation(Section):
     scales: int | None = Field(
         None,
         ge=1,
+        le=1000,
         description="scales; 1 is the paper's 'no multi-scale'; none: as many as leave 12 px",
     )
     factor: float = Field(0.5, gt=0, lt=1, description="ratio of the sizes of two scales")
-    warps: int = Field(2, ge=1, description="linear solves per scale, each after a warp")
+    warps: int = Field(2, ge=1, le=1000, description="linear solves per scale, each after a warp")
     start: Literal["zero", "background"] = Field(
         "background", description="field about which the images are linearised first"
     )
@@ -363,7 +412,7 @@ class Identification(Section):
     gamma_range: Spread = Field((0.01, 30.0), description="weights tried, downwards")
     clear: float = Field(2.0, ge=0, description="standard errors that make a gain clear")
     epsilon: Positive = Field(0.02, description="gradient of log E that counts as an edge, 1/px")
-    iterations: int = Field(30, ge=1, description="largest number of Gauss-Newton steps")
+    iterations: int = Field(30, ge=1, le=1000, description="largest number of Gauss-Newton steps")
     least_gain: Positive = Field(5.0, description="gain in log-likelihood at which they stop")
     damping: Positive = Field(1.0, description="Levenberg's damping at the start")
     trust: float = Field(
@@ -374,7 +423,7 @@ class Identification(Section):
     doubt: Positive = Field(
         0.2, description="the same, of an edge, above which the identification is refused"
     )
-    rounds: int = Field(2, ge=1, description="largest number of rounds of test 6")
+    rounds: int = Field(2, ge=1, le=1000, description="largest number of rounds of test 6")
     settled: Positive = Field(2e-3, description="relative change of u at which test 6 stops")
 
 
@@ -385,7 +434,7 @@ class Measures(Section):
         None, description="Gaussian window of the strain's local linear fits, um; none: 3 px"
     )
     error_bars: int = Field(
-        16, ge=0, description="samples for the standard deviations; 0 leaves them out"
+        16, ge=0, le=10_000, description="samples for the standard deviations; 0 leaves them out"
     )
     stiffness: bool = Field(
         False, description="whether to identify the modulus; wants the whole sample in the image"

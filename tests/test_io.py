@@ -65,9 +65,9 @@ def written(folder, kind):
     arrays = {
         "nan": (np.where(I == 65, np.nan, I), "1 values are NaN or infinite.*row 2, column 5"),
         "inf": (np.where(I == 65, np.inf, I), "1 values are NaN or infinite"),
-        "rgb": (np.zeros((20, 30, 3), np.uint8), "is a colour image"),
+        "rgb": (np.eye(3, dtype=np.uint8)[np.eye(20, 30, dtype=int)], "is a colour image"),
         "stack": (np.zeros((5, 20, 30), np.uint8), r"a stack of shape \(5, 20, 30\)"),
-        "complex": (I.astype(np.complex64), "complex64 values"),
+        "complex": (I.astype(np.complex64), r"complex values \(complex64\); save their amplitude"),
     }
     tifffile.imwrite(path, arrays[kind][0])
     return path, arrays[kind][1]

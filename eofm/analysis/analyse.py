@@ -174,6 +174,11 @@ def analyse(
     """
     if len(frames) < 2:
         raise InputError(f"frames: wants two or more images, got {len(frames)}")
+    wide = max(n * p for n, p in zip(frames[0].shape[::-1], known.pixel_size, strict=False))
+    if (measures.strain_window or 0) > wide:
+        raise InputError(
+            f"strain_window: {measures.strain_window:g} um is wider than the whole image"
+        )
     dead = np.zeros(frames[0].shape, dtype=bool) if known.dead is None else known.dead
     steps: list[Step] = []
     total, variance = np.zeros((2, *dead.shape)), np.zeros((2, *dead.shape))

@@ -1,5 +1,6 @@
 """The results of a pair or sequence as files and figures."""
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,25 +11,80 @@ from matplotlib.figure import Figure
 from eofm import io
 from eofm.analysis import figures
 from eofm.analysis.analyse import Analysis
+from eofm.errors import InputError
 from eofm.grid import componentwise
-from eofm.settings import Figures
+from eofm.settings import Figures, Pair
 
 STRAIN_LABELS = ["e11 lateral", "e22 axial", "e12 shear"]
+KINDS = ("png", "pdf")
+# What only some runs make, and all that any run makes.
+SOMETIMES = (
+    "increments.tif",
+    "deviation.tif",
+    "stiffness.tif",
+    "stiffness_deviation.tif",
+    *(f"stiffness.{kind}" for kind in KINDS),
+)
+RESULTS = (
+    *SOMETIMES,
+    "displacement.tif",
+    "displacement_um.tif",
+    "strain.tif",
+    "bubbles.csv",
+    "bubbles.csv.sha256",
+    *(f"{name}.{kind}" for name in ("pair", "displacement", "strain", "quality") for kind in KINDS),
+    "provenance.json",
+    "summary.json",
+)
 
 
 def write_results(results: Analysis, folder: Path, images: Sequence[str] = ()) -> None:
     """Write fields, tables, summary and figures into a folder.
 
     ``displacement.tif`` (px), ``displacement_um.tif``, ``deviation.tif`` (px), ``strain.tif``,
-    ``bubbles.csv``, ``summary.json``, for sequences also ``increments.tif``, with an identified
-    sample ``stiffness.tif`` and ``stiffness_deviation.tif`` (of log E), and the figures
+    ``bubbles.csv``, ``summary.json``, ``provenance.json``, for sequences also
+    ``increments.tif``, with an identified sample ``stiffness.tif`` and
+    ``stiffness_deviation.tif`` (of log E), and the figures
     ``pair``, ``displacement``, ``strain``, ``quality`` and ``stiffness`` as PNG and PDF.
-    What an earlier run left there and this one does not make is removed.
+    What an earlier run left there and this one does not make is removed. All files appear
+    together once the last one is complete, the summary at the very end.
     """
-    for name in ("increments.tif", "deviation.tif", "stiffness.tif", "stiffness_deviation.tif"):
-        (folder / name).unlink(missing_ok=True)
-    for kind in ("png", "pdf"):
-        (folder / f"stiffness.{kind}").unlink(missing_ok=True)
+    with io.together():
+        for name in SOMETIMES:
+            io.remove(folder / name)
+        _write_fields(results, folder)
+        settings = Figures(pixel_size=results.pixel_size)
+        for name, figure in draw(results, settings).items():
+            paths = [folder / f"{name}.{kind}" for kind in KINDS]
+            figures.save(figure, paths, settings)
+        made = io.Origin.current() or io.Origin("analyse", {})
+        io.write_json(folder / "provenance.json", made.record() | {"run": made.run()})
+        summary = {"images": list(images)} | results.summary | {"provenance": made.record()}
+        io.write_json(folder / "summary.json", summary)
+
+
+def check_results(folder: Path, pair: Pair) -> None:
+    """Refuse a folder that cannot hold results, or in which they would replace what is read.
+
+    Raises
+    ------
+    InputError
+        In one line that names the folder or file.
+    """
+    place = folder.resolve()
+    if place.exists() and not place.is_dir():
+        raise InputError(f"{folder}: is no folder; name one")
+    texts = [value for value in pair.model_dump().values() if isinstance(value, str)]
+    for word in (word for text in texts for word in (text, *text.split())):
+        file = Path(os.path.realpath(word.partition("#")[0].replace("\0", "")))
+        if file.parent == place and file.name in RESULTS and file.is_file():
+            raise InputError(f"{word}: is read, and results would replace it; name another folder")
+    for name in RESULTS if place.is_dir() else ():
+        io.check_place(folder / name)
+
+
+def _write_fields(results: Analysis, folder: Path) -> None:
+    """Write all fields and the table of bubbles."""
     size = componentwise(results.pixel_size, 2)
     io.write_field(folder / "displacement.tif", results.u)
     io.write_field(folder / "displacement_um.tif", results.u * size, "um")
@@ -46,11 +102,6 @@ def write_results(results: Analysis, folder: Path, images: Sequence[str] = ()) -
         io.write_pages(folder / "increments.tif", increments, labels)
     tables = [step.bubbles.assign(step=k) for k, step in enumerate(results.steps)]
     io.write_table(folder / "bubbles.csv", pd.concat(tables, ignore_index=True))
-    settings = Figures(pixel_size=results.pixel_size)
-    for name, figure in draw(results, settings).items():
-        paths = [folder / f"{name}.{kind}" for kind in ("png", "pdf")]
-        figures.save(figure, paths, settings)
-    io.write_json(folder / "summary.json", {"images": list(images)} | results.summary)
 
 
 def draw(results: Analysis, settings: Figures | None = None) -> dict[str, Figure]:

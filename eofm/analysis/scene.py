@@ -15,6 +15,10 @@ from eofm.flow.known import Known
 from eofm.grid import FACES, Array, Edge
 from eofm.settings import Pair, Region, Sample
 
+# Corners farther away than this, px, and samples larger than so many regions, are mistakes.
+FAR = 1e6
+LARGEST_EXTENT = 20
+
 
 @dataclass(frozen=True)
 class Scene:
@@ -138,7 +142,12 @@ def _dead(pair: Pair, shape: tuple[int, ...]) -> NDArray[np.bool_]:
         return mask != 0
     if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3:
         raise InputError("mask: a polygon wants at least three corners 'x1,x2 x1,x2 x1,x2'")
-    return polygon2mask(shape, corners[:, ::-1])
+    if not (np.abs(corners) < FAR).all():
+        raise InputError("mask: the corners of a polygon want to be numbers near the image")
+    mask = polygon2mask(shape, corners[:, ::-1])
+    if not mask.any():
+        raise InputError("mask: no pixel of the image lies in the polygon")
+    return mask
 
 
 def _extent(pair: Pair, roi: Region) -> Region:
@@ -146,6 +155,11 @@ def _extent(pair: Pair, roi: Region) -> Region:
     (e1, e2, e_width, e_height), (x1, x2, width, height) = pair.extent or roi, roi
     if e1 > x1 or e2 > x2 or e1 + e_width < x1 + width or e2 + e_height < x2 + height:
         raise InputError("extent: the sample must hold the whole region of interest")
+    if e_width > LARGEST_EXTENT * width or e_height > LARGEST_EXTENT * height:
+        raise InputError(
+            f"extent: {e_width} x {e_height} px is more than {LARGEST_EXTENT} times the region of"
+            f" interest's {width} x {height} px; check its unit"
+        )
     return e1, e2, e_width, e_height
 
 

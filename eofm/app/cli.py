@@ -6,11 +6,14 @@ inside the functions, so that ``--help`` is instant.
 """
 
 import argparse
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 from eofm import io
 from eofm.app.options import (
@@ -31,6 +34,7 @@ from eofm.settings import (
     Pair,
     Phantom,
     Sample,
+    Section,
     Tracking,
     VirtualOct,
 )
@@ -272,16 +276,17 @@ def sample(
           --background elastic --poisson-ratio 0.48
 
     Writes displacement.tif (px) and displacement_um.tif, its standard deviation, strain.tif,
-    bubbles.csv, summary.json and figures; with --stiffness true also the relative modulus
-    of a sample that is wholly in the image. Edges of which nothing is said are free. Settings may
-    come from a file (YAML, names as the options') where they are many; options win. Where the
-    images do not bear the estimate out, it says why; if they contradict it, the exit status is 3.
+    bubbles.csv, summary.json and figures, all of them or nothing; with --stiffness true also
+    the relative modulus of a sample that is wholly in the image. Edges of which nothing is said
+    are free. Settings may come from a file (YAML, names as the options') where they are many;
+    options win. Where the images do not bear the estimate out, it says why; if they contradict
+    it, the exit status is 3.
     """
-    if folder.is_file():
-        raise InputError(f"{folder}: is a file; name a folder")
     from eofm.analysis.analyse import analyse
+    from eofm.analysis.report import check_results
     from eofm.analysis.scene import read_scene
 
+    check_results(folder, pair)
     try:
         scene = read_scene(pair)
         results = analyse(
@@ -327,9 +332,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     name = _name(args.step)
     try:
         use_threads(args.threads)
+        io.limit_size(args.max_size)
         given = arguments_of(args.step, args)
         Files.of(args.step, given).check()
-        trust: Trust | None = args.step(**given)
+        sections = {k: v.model_dump(mode="json") for k, v in given.items() if _is_section(v)}
+        with _ending_in_order(), io.together(), io.Origin(name, sections).recorded():
+            trust: Trust | None = args.step(**given)
     except (InputError, OSError) as error:
         print(f"eofm {name}: {error}", file=sys.stderr)
         return 1
@@ -347,6 +355,27 @@ def main(argv: Sequence[str] | None = None) -> int:
     for reason in trust.reasons:
         print(f"eofm {name}: {trust.verdict}: {reason}", file=sys.stderr)
     return FAILED if trust.verdict == "failed" else 0
+
+
+def _is_section(value: object) -> bool:
+    return isinstance(value, Section)
+
+
+@contextmanager
+def _ending_in_order() -> Iterator[None]:
+    """End on SIGTERM as on an error: what was begun is cleared away."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def end(*_: object) -> NoReturn:
+        raise SystemExit(128 + signal.SIGTERM)
+
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _name(step: Step) -> str:
@@ -374,6 +403,12 @@ def _parser() -> argparse.ArgumentParser:
             type=int,
             metavar="N",
             help="cores to use (default: all); results do not depend on it",
+        )
+        sub.add_argument(
+            "--max-size",
+            type=float,
+            metavar="GIB",
+            help="largest image or field to read (default: a quarter of the memory there is)",
         )
         add_options(sub, step)
     return parser

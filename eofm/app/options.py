@@ -26,10 +26,15 @@ NONE = (None, ())
 
 @dataclass(frozen=True)
 class File:
-    """What a file of a step is for, and whether the step writes it."""
+    """What a file of a step is for, in words that end in its (FORMAT), and who writes it."""
 
     help: str
     written: bool
+
+    @property
+    def format(self) -> str | None:
+        """The format that stands in brackets at the end of the help."""
+        return self.help.rpartition("(")[2].rstrip(")") if self.help.endswith(")") else None
 
 
 def reads(help: str) -> File:
@@ -60,14 +65,18 @@ class Files:
     """Files that were named for a step."""
 
     read: list[Path]
-    written: list[Path]
+    written: dict[Path, str | None]
 
     @classmethod
     def of(cls, step: Step, given: Mapping[str, Any]) -> "Files":
         """Return those among the arguments of a step."""
         named = [(file, given[name]) for name, file in files_of(step).items() if given[name]]
         read = [path for file, path in named if not file.written]
-        return cls(read, [path for file, path in named if file.written])
+        written = [(path, file.format) for file, path in named if file.written]
+        for path, _ in written:
+            if [p.resolve() for p, _ in written].count(path.resolve()) > 1:
+                raise InputError(f"{path}: is named for two results; give each its own file")
+        return cls(read, dict(written))
 
     def check(self) -> None:
         """Refuse, before any work, what could not be written or would overwrite what is read.
@@ -75,16 +84,14 @@ class Files:
         Raises
         ------
         InputError
-            If a folder does not exist, a name stands for two results, or for a file that is read.
+            If it cannot be written, or is a file that is read.
         """
-        taken: dict[Path, str] = {path.resolve(): "read" for path in self.read}
-        for path in self.written:
-            io.check_folder(path)
-            use = taken.setdefault(path.resolve(), "written")
-            if use == "read":
+        read = {path.resolve() for path in self.read}
+        for path, format in self.written.items():
+            if path.resolve() in read:
                 raise InputError(f"{path}: is read; name another file to write")
-            if list(map(Path.resolve, self.written)).count(path.resolve()) > 1:
-                raise InputError(f"{path}: is named for two results; give each its own file")
+            if format is not None:
+                io.check_place(path, format)
 
 
 def add_files(parser: argparse.ArgumentParser, step: Step) -> None:
@@ -127,7 +134,7 @@ def parse_value(text: str) -> Any:
     """A number, object or truth value as in JSON, or else the text itself."""
     try:
         return json.loads(text)
-    except json.JSONDecodeError:
+    except (ValueError, RecursionError):  # of too many digits, or too many brackets
         return text
 
 
@@ -173,5 +180,12 @@ def _given(section: type[Section], args: argparse.Namespace) -> dict[str, Any]:
     for name, field in section.model_fields.items():
         if hasattr(args, name):
             value, default = getattr(args, name), field.get_default()
+            if section.takes_many(name):
+                value = [item for one in value for item in _split(one)]
             values[name] = default if value == [None] and default in NONE else value
     return values
+
+
+def _split(value: Any) -> list[Any]:
+    """The values in a text that holds several, such as ``'0 0 40 40'``."""
+    return [parse_value(word) for word in value.split()] if isinstance(value, str) else [value]

@@ -198,11 +198,12 @@ def normalised(
     I1: Array, I2: Array, settings: Estimation, pixel_size: tuple[float, float]
 ) -> tuple[Array, Array]:
     """The images as the estimate sees them, of pixels with sides (lateral, axial)."""
+    I1, I2 = normalise(I1, I2, settings.limits if settings.local_window is None else None)
+    settings.check_widths(I1.shape)
     if settings.local_window is None:
-        return normalise(I1, I2, settings.limits)
+        return I1, I2
     h1, h2 = unit_spacing(pixel_size)
     window = settings.local_window / h1, settings.local_window / h2
-    I1, I2 = normalise(I1, I2)
     return normalise_locally(I1, window), normalise_locally(I2, window)
 
 

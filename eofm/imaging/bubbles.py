@@ -78,6 +78,7 @@ def track(
     True
     """
     I1, I2 = normalise(I1, I2)
+    settings.check_widths(I1.shape)
     before, after = detect(I1, settings), detect(I2, settings)
     for name, bubbles in (("before", before), ("after", after)):
         if bubbles.empty:

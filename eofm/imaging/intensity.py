@@ -5,6 +5,7 @@ import numpy as np
 from eofm.errors import InputError
 from eofm.grid import Array
 from eofm.imaging.gaussian import blur
+from eofm.settings import LARGEST, LEAST
 
 
 def normalise(
@@ -24,6 +25,8 @@ def normalise(
     InputError
         If these are not two finite greyscale images of one size, or one is constant.
     """
+    if np.iscomplexobj(I1) or np.iscomplexobj(I2):
+        raise InputError("an image holds complex values; give their amplitude, abs(I)")
     # Integers would wrap around in the differences below.
     I1, I2 = np.asarray(I1, dtype=np.float64), np.asarray(I2, dtype=np.float64)
     if I1.ndim != 2 or I1.shape != I2.shape:
@@ -39,6 +42,8 @@ def normalise(
                 " to see; check that the right file was given"
             )
     low, high = limits or (min(I1.min(), I2.min()), max(I1.max(), I2.max()))
+    if not LEAST <= high / 2 - low / 2 <= LARGEST:
+        raise InputError(f"intensities from {low:g} to {high:g} are lost in rounding; scale them")
     return (I1 - low) / (high - low), (I2 - low) / (high - low)
 
 

@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 import re
 import shlex
 from difflib import get_close_matches
@@ -72,14 +73,8 @@ def _read_table(path: str) -> pd.DataFrame:
 
 def sample_options(row: dict[str, str]) -> str:
     """Command-line options of a row of the table of samples."""
-    words = []
-    for name, text in row.items():
-        option = f"--{name.replace('_', '-')}"
-        many = any(
-            name in section.model_fields and section.takes_many(name) for section in ANALYSIS
-        )
-        words += [option, *text.split()] if many else [f"{option}={text}"]
-    return shlex.join(words)
+    # One word per cell: the step splits those of several values, so that none is an option.
+    return shlex.join(f"--{name.replace('_', '-')}={text}" for name, text in row.items())
 
 
 def sample_files(row: dict[str, str]) -> list[str]:
@@ -89,4 +84,4 @@ def sample_files(row: dict[str, str]) -> list[str]:
     # The file is the last word: moved FILE, outside moved FILE.
     names += [row.get(edge, "").rpartition(" ")[2] for edge in ("top", "bottom", "left", "right")]
     files = [name.partition("#")[0] for name in names if name]
-    return [f for f in files if f.startswith("results/") or Path(f).is_file()]
+    return [f for f in files if f.startswith("results/") or os.path.isfile(f)]

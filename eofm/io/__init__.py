@@ -1,0 +1,55 @@
+"""Files: images, fields as TIFF, tables as CSV, summaries as JSON.
+
+The only room that knows file formats:
+
+- `images`: what a file holds, checked: an image, a stack, a pair, a field; and writing them.
+- `tables`: CSV, YAML and JSON.
+- `formats`: the array of a file of any format; `tiff`, `matlab` and `hdf5` each know one.
+- `limits`: how large an array may be, how long a foreign reader may take.
+- `places`: where files are written, each complete or not at all, and several as one.
+- `origin`: what a result comes from, and checksums of what was written.
+"""
+
+from eofm.io.images import (
+    read_field,
+    read_image,
+    read_pair,
+    read_stack,
+    write_field,
+    write_image,
+    write_pages,
+)
+from eofm.io.limits import limit_size
+from eofm.io.origin import Origin, checksum
+from eofm.io.places import check_place, remove, replacing, together
+from eofm.io.tables import (
+    BUBBLE_COLUMNS,
+    read_bubbles,
+    read_columns,
+    read_settings,
+    write_json,
+    write_table,
+)
+
+__all__ = [
+    "BUBBLE_COLUMNS",
+    "Origin",
+    "check_place",
+    "checksum",
+    "limit_size",
+    "read_bubbles",
+    "read_columns",
+    "read_field",
+    "read_image",
+    "read_pair",
+    "read_settings",
+    "read_stack",
+    "remove",
+    "replacing",
+    "together",
+    "write_field",
+    "write_image",
+    "write_json",
+    "write_pages",
+    "write_table",
+]

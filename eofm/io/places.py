@@ -1,0 +1,144 @@
+"""Where files are written: each complete or not at all, and those of a step as one.
+
+A file is written beside its place and then moved there, so that a failure, an interruption or
+a full disk leaves nothing half-written.
+"""
+
+import os
+import signal
+import stat
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path
+
+from eofm.errors import InputError
+
+# What to do, in this order, once all files of a step are complete: move, or remove (None).
+Move = tuple[Path | None, Path]
+_moves: ContextVar[list[Move] | None] = ContextVar("moves", default=None)
+
+# Endings by format, and formats that a name with another ending would belie.
+ENDINGS = {"TIFF": (".tif", ".tiff"), "CSV": (".csv", ".txt"), "JSON": (".json",)}
+
+
+def check_place(path: Path, format: str | None = None) -> None:
+    """Refuse a file to write that could not be, or should not be, replaced.
+
+    Raises
+    ------
+    InputError
+        If it is a folder, a device or write-protected, its folder does not exist or cannot be
+        written to, or its name ends like that of another format.
+    """
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; name a file in it")
+    folder = path.resolve().parent
+    if not folder.is_dir():
+        raise InputError(f"{path}: the folder {folder} does not exist; create it first")
+    endings = ENDINGS.get(format or "", ())
+    if endings and path.suffix and path.suffix.lower() not in endings:
+        raise InputError(
+            f"{path}: is to hold {format} but its name ends in {path.suffix}; use {endings[0]}"
+        )
+    if path.exists():
+        mode = path.stat().st_mode
+        if not stat.S_ISREG(mode):
+            raise InputError(f"{path}: is no regular file; name another file to write")
+        # Root may write where no one may; the owner has said that no one should.
+        if not mode & 0o222 or not os.access(path, os.W_OK):
+            raise InputError(f"{path}: is write-protected; name another file to write")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise InputError(f"{path}: nothing can be written to the folder {folder}")
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A temporary file that takes the place of ``path`` once it is complete.
+
+    A symbolic link stays, and the file that it leads to is replaced.
+    """
+    check_place(path)
+    place = path.resolve()
+    handle, name = tempfile.mkstemp(dir=place.parent, prefix=".eofm-", suffix=path.suffix)
+    os.close(handle)
+    temporary, waits = Path(name), False
+    try:
+        yield temporary
+        mask = os.umask(0)
+        os.umask(mask)
+        temporary.chmod(0o666 & ~mask)
+        waits = _later((temporary, place))
+        if not waits:
+            temporary.replace(place)
+    except OSError as error:
+        raise _named(error, path) from None
+    finally:
+        if not waits:
+            temporary.unlink(missing_ok=True)
+
+
+def remove(path: Path) -> None:
+    """Remove a file if it is there, inside of `together` at its end."""
+    if not _later((None, path)):
+        path.unlink(missing_ok=True)
+
+
+@contextmanager
+def together() -> Iterator[None]:
+    """Files that are written inside take their places as one at the end, or none does.
+
+    Signals wait while they do, and the last file is removed first: should even the machine
+    stop then, all others belong to it wherever it stands.
+    """
+    if _moves.get() is not None:  # those around it see to it
+        yield
+        return
+    moves: list[Move] = []
+    token = _moves.set(moves)
+    try:
+        yield
+        with _uninterrupted():
+            if len(moves) > 1:
+                moves[-1][1].unlink(missing_ok=True)
+            for temporary, place in moves:
+                if temporary is None:
+                    place.unlink(missing_ok=True)
+                else:
+                    temporary.replace(place)
+    finally:
+        _moves.reset(token)
+        for temporary, _ in moves:
+            if temporary is not None:
+                temporary.unlink(missing_ok=True)
+
+
+def _later(move: Move) -> bool:
+    """Whether a file has to wait for others; then it does."""
+    moves = _moves.get()
+    if moves is not None:
+        moves.append(move)
+    return moves is not None
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Let signals that end the process wait, where the system knows how."""
+    if not hasattr(signal, "pthread_sigmask") or (
+        threading.current_thread() is not threading.main_thread()
+    ):
+        yield
+        return
+    held = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, held)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _named(error: OSError, path: Path) -> OSError:
+    """The same error, which names the file that was to be written."""
+    return OSError(f"{path}: cannot be written ({error.strerror or error})")
