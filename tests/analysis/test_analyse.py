@@ -15,6 +15,8 @@ from eofm.analysis.scene import read_scene
 from eofm.imaging.splines import evaluate, evaluate_field, resize
 from eofm.settings import WARPING, Estimation, Pair, Tracking
 
+pytestmark = pytest.mark.slow
+
 QUICK = Estimation(method="paper", scales=3, limits=(0, 1), **WARPING)
 
 

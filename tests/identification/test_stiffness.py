@@ -18,6 +18,8 @@ from eofm.identification.stiffness import identify_stiffness
 from eofm.settings import Sample
 from eofm.threads import serial
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("contact", ["clamped", "slip"])
 @pytest.mark.parametrize("size", [(20, 33), (33, 20)])

@@ -1,12 +1,15 @@
 """Error bars: the same for the same seed, and as wide as the errors are."""
 
 import numpy as np
+import pytest
 from pressed import PLAIN, pair
 
 from eofm.flow.estimate import estimate_displacement
 from eofm.identification.stiffness import identify_stiffness
 from eofm.identification.uncertainty import deviations
 from eofm.settings import Identification
+
+pytestmark = pytest.mark.slow
 
 
 def test_half_to_most_pixels_of_an_identified_sample_lie_within_one_standard_deviation():

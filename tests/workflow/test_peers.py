@@ -10,6 +10,8 @@ from conftest import speckle
 from eofm.app.config import Tool
 from eofm.imaging.splines import evaluate
 
+pytestmark = pytest.mark.slow
+
 SHAPE = (90, 121)
 PEERS = get_args(Tool)[2:]
 
