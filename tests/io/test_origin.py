@@ -56,7 +56,7 @@ def test_a_changed_table_is_found_unless_the_change_is_meant(tmp_path):
     io.write_table(path, pd.DataFrame({"x1": [1.0], "x2": [2.0], "u1": [0.0], "u2": [3.0]}))
     assert io.read_bubbles(path).u2[0] == 3
     path.write_text(path.read_text().replace("3.", "4."))
-    with pytest.raises(InputError, match="is not what was written .*delete bubbles.csv.sha256"):
+    with pytest.raises(InputError, match=r"is not what was written .*delete bubbles.csv.sha256"):
         io.read_bubbles(path)
     (tmp_path / "bubbles.csv.sha256").unlink()
     assert io.read_bubbles(path).u2[0] == 4
