@@ -18,18 +18,18 @@ iterations that depends neither on the size nor on the image:
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from eofm.errors import InputError
 from eofm.flow import stencils
 from eofm.flow.functional import Quadratic
-
-Array = NDArray[np.float64]
+from eofm.flow.galerkin import coarsen
+from eofm.flow.stencils import Axis, Between, Operator, Real, Transfer
+from eofm.grid import Array, Mask
 
 # Rows and columns below which there is no coarser grid.
 COARSEST = 6
@@ -99,7 +99,7 @@ def multigrid(
         return _inner(x)
     if initial is not None:
         np.multiply(initial, F.free, out=_inner(x))
-        stencils.product(q, x, *operator)
+        stencils.product(q, x, operator)
         np.subtract(r, q, out=q)
         if _norm(q) < size:
             r[...] = q
@@ -118,7 +118,7 @@ def multigrid(
         z = top.correct(b)
         before, zr = zr, stencils.dot(z, r).sum()
         stencils.redirect(p, z, zr / before)
-        pq = stencils.product(q, p, *operator).sum()
+        pq = stencils.product(q, p, operator).sum()
         squares = stencils.advance(x, r, b, p, q, zr / pq).sum(axis=1)
         residual, changed = math.sqrt(squares[0]) / size, math.sqrt(squares[1] / F.free.size)
     raise NotConverged(
@@ -127,63 +127,62 @@ def multigrid(
     )
 
 
-def _norm(r: Array) -> float:
+def _norm(r: Real) -> float:
     # Without BLAS, whose sums depend on the number of threads.
     return math.sqrt(np.einsum("cij,cij->", r, r))
 
 
-def _inner(u: Array) -> Array:
+def _inner(u: Real) -> Real:
     """The values of a field without its border of zeros."""
     return u[:, 2:-2, 2:-2]
 
 
 @dataclass
 class Level:
-    """One grid, the operator K on it (see :mod:`eofm.flow.stencils`) and how to correct by it.
+    """One grid, the operator K on it and how to correct by it.
 
     Attributes
     ----------
-    operator : tuple
-        ``A, G, free, X1, X2, bending``.
+    operator : Operator
     degree, visits : int
         Steps of the smoother; corrections per correction of the finer grid.
+    transfer : (lateral, axial)
+        Where its nodes lie on the coarse grid.
+    coarse : Level or Coarsest
     x, y : ndarray, shape (2, n + 4, m + 4)
         Fields, the present and the last iterate.
     b : ndarray, shape (2, nc, mc)
         Right-hand side of the coarse grid.
-    transfer : tuple
-        ``J1, t1, J2, t2`` of :func:`eofm.flow.stencils.prolong`.
-    coarse : Level or Coarsest
     """
 
-    operator: tuple[Any, ...]
+    operator: Operator
     degree: int
     visits: int
-    transfer: tuple[Any, ...]
+    transfer: Transfer
     coarse: "Level | Coarsest"
+    x: Real = field(init=False)
+    y: Real = field(init=False)
+    b: Real = field(init=False)
 
     def __post_init__(self) -> None:
-        n, m = self.operator[2].shape
-        precision = self.operator[0].dtype
+        n, m = self.operator.shape
+        precision = self.operator.A.dtype
         self.x, self.y = np.zeros((2, 2, n + 4, m + 4), precision)
-        self.b = np.empty((2, *(s - 4 for s in self.coarse.x.shape[1:])), precision)
+        self.b = np.empty_like(_inner(self.coarse.x), precision, order="C")
 
-    def correct(self, b: Array, visits: int = 1) -> Array:
+    def correct(self, b: Real, visits: int = 1) -> Real:
         """Field close to K^-1 b: linear, symmetric and positive definite in b."""
         for visit in range(visits):
             self._smooth(b, visit == 0)
-            stencils.restrict(self.b, b, self.x, *(*self.transfer, *self.operator))
+            stencils.restrict(self.b, b, self.x, self.transfer, self.operator)
             e = self.coarse.correct(self.b, self.visits)
-            stencils.prolong(self.x, e, self.operator[2], *self.transfer)
+            stencils.prolong(self.x, e, self.operator.free, self.transfer)
             self._smooth(b, False)
         return self.x
 
-    def _smooth(self, b: Array, from_zero: bool) -> None:
-        number = b.dtype.type
-        for k in range(1, self.degree + 1):
-            c1, c2 = number(max(0.0, (2 * k - 3) / (2 * k + 1))), number((8 * k - 4) / (2 * k + 1))
-            first = from_zero and k == 1
-            stencils.chebyshev(self.y, self.x, b, c1, c2, first, *self.operator)
+    def _smooth(self, b: Real, from_zero: bool) -> None:
+        for step in range(1, self.degree + 1):
+            stencils.chebyshev(self.y, self.x, b, step, from_zero and step == 1, self.operator)
             self.x, self.y = self.y, self.x
 
 
@@ -195,8 +194,8 @@ class Coarsest:
     so far apart that the stencils around them are disjoint.
     """
 
-    def __init__(self, operator: tuple[Any, ...], precision: type = np.float64) -> None:
-        free = operator[2]
+    def __init__(self, operator: Operator, precision: DTypeLike = np.float64) -> None:
+        free = operator.free
         n, m = free.shape
         self.axes = (1, 2, 0) if n >= m else (2, 1, 0)
         number = np.empty((2, n, m), dtype=np.intp)
@@ -204,14 +203,14 @@ class Coarsest:
         ordered[...] = np.arange(number.size).reshape(ordered.shape)
         self.x = np.zeros((2, n + 4, m + 4), precision)
         comb, q = np.empty((2, n + 4, m + 4)), np.empty((2, n, m))
-        reach = 2 if operator[-1] else 1
+        reach = 2 if operator.bending else 1
         step = 2 * reach + 1
         band = np.zeros((2 * reach * (min(n, m) + 1) + 2, 2 * n * m))
         i, j = np.ogrid[:n, :m]
         for c, k, l in np.ndindex(2, step, step):
             comb.fill(0.0)
             _inner(comb)[c, k::step, l::step] = free[k::step, l::step]
-            stencils.product(q, comb, *operator)
+            stencils.product(q, comb, operator)
             tooth_i = i + (k - i + reach) % step - reach
             tooth_j = j + (l - j + reach) % step - reach
             inside = (tooth_i >= 0) & (tooth_i < n) & (tooth_j >= 0) & (tooth_j < m)
@@ -222,7 +221,7 @@ class Coarsest:
         band[0, number[:, ~free]] = 1.0
         self.factor = cholesky_banded(band, lower=True, check_finite=False)
 
-    def correct(self, b: Array, visits: int = 1) -> Array:
+    def correct(self, b: Real, visits: int = 1) -> Real:
         """Field K^-1 b."""
         order = b.transpose(self.axes)
         solution = cho_solve_banded((self.factor, True), order.ravel(), check_finite=False)
@@ -232,62 +231,65 @@ class Coarsest:
 
 def hierarchy(F: Quadratic) -> Level | Coarsest:
     """The finest grid, linked to the coarser ones."""
-    operator = A, _, free, X1, X2, bending = finest(F)
-    # The diagonal of alpha R per area, inside of the image.
-    i, j = free.shape[0] // 2, free.shape[1] // 2
-    (m1, s1, t1), (m2, s2, t2) = X1[[0, 3, 7], j], X2[[0, 3, 7], i]
-    stiffness = s1 / m1 + s2 / m2 + t1 * t2 / (m1 * m2)
+    operator = finest(F)
+    stiffness, area = _stiffness(operator)
+    A, free = operator.A, operator.free
     degree, high_degree, visits = CYCLE[F.smoothness]
     contrast = np.max(A[0] + A[2], where=free, initial=0.0) / stiffness
     if contrast > CONTRAST:
         degree = high_degree
     energies = np.linalg.eigvalsh(_rigid_energy(F, stiffness))
-    if not energies[0] > SINGULAR * max(energies[-1], stiffness * m1 * m2):
+    if not energies[0] > SINGULAR * max(energies[-1], stiffness * area):
         raise InputError(
             "the functional has no unique minimiser: images, bubbles and edges leave a motion"
             " undetermined; give a bubble or an edge, or a smaller mask"
         )
-    precision = np.float64 if bending or contrast > SINGLE else np.float32
-    average = contrast <= AVERAGE[F.smoothness] and F.free[1:-1, 1:-1].all()
+    precision = np.float64 if operator.bending or contrast > SINGLE else np.float32
+    average = contrast <= AVERAGE[F.smoothness] and free[1:-1, 1:-1].all()
     couplings = 0 if average else 12
 
-    levels = []
-    h1, h2 = map(float, F.grid.spacing)
-    while True:
-        n, m = operator[2].shape
-        nc = n // 2 + 1 if h2 < ALIKE * h1 else n
-        mc = m // 2 + 1 if h1 < ALIKE * h2 else m
-        if min(nc, mc) < COARSEST:
-            break
-        transfer = (*_between(m, mc), *_between(n, nc))
+    levels: list[tuple[Operator, Transfer]] = []
+    spacing = F.grid.spacing
+    while (shape := _coarser(operator.shape, spacing)) is not None:
+        (n, m), (nc, mc), (h1, h2) = operator.shape, shape, spacing
+        transfer = Between.of(m, mc), Between.of(n, nc)
         A, G = np.empty((3, nc, mc)), np.empty((couplings, nc, mc))
-        stencils.coarsen(A, G, *(*operator[:-1], *transfer))
-        h1, h2 = h1 * (m - 1) / (mc - 1), h2 * (n - 1) / (nc - 1)
-        X1, X2 = _tables((nc, mc), (h1, h2), F.alpha, bending)
-        A /= X1[0]
-        A /= X2[0, :, None]
-        levels.append((_rounded(operator, precision), _rounded(transfer, precision)))
-        operator = A, G, np.ones((nc, mc), dtype=np.bool_), X1, X2, bending
+        coarsen(A, G, operator, transfer)
+        spacing = h1 * (m - 1) / (mc - 1), h2 * (n - 1) / (nc - 1)
+        axes = _axes(shape, spacing, F.alpha, operator.bending)
+        A /= axes[0].M
+        A /= axes[1].M[:, None]
+        lateral, axial = (between.rounded(precision) for between in transfer)
+        levels.append((operator.rounded(precision), (lateral, axial)))
+        operator = Operator(A, G, np.ones(shape, dtype=np.bool_), axes, operator.bending)
     top: Level | Coarsest = Coarsest(operator, precision)
     for operator, transfer in reversed(levels):
         top = Level(operator, degree, visits, transfer, top)
     return top
 
 
-def _rounded(values: tuple[Any, ...], precision: type) -> tuple[Any, ...]:
-    """The same values, real numbers rounded to a precision."""
-    return tuple(
-        v.astype(precision, copy=False) if getattr(v, "dtype", None) == np.float64 else v
-        for v in values
-    )
-
-
-def finest(F: Quadratic) -> tuple[Any, ...]:
-    """The operator K of a functional, see :mod:`eofm.flow.stencils`."""
+def finest(F: Quadratic) -> Operator:
+    """The operator K of a functional."""
     bending = F.smoothness == "bending"
-    tables = _tables(F.grid.shape, F.grid.spacing, F.alpha, bending)
-    A, free = np.ascontiguousarray(F.terms.A), np.ascontiguousarray(F.free)
-    return A, np.empty((0, *F.grid.shape)), free, *tables, bending
+    A = np.require(F.terms.A, np.float64, ["C", "W"])
+    free = np.require(F.free, np.bool_, ["C", "W"])
+    axes = _axes(F.grid.shape, F.grid.spacing, F.alpha, bending)
+    return Operator(A, np.empty((0, *F.grid.shape)), free, axes, bending)
+
+
+def _stiffness(K: Operator) -> tuple[float, float]:
+    """The diagonal of alpha R per area, and the area of a node, inside of the image."""
+    X1, X2 = (Axis(*(row[row.size // 2] for row in axis)) for axis in K.axes)
+    S, T = X1.Sc / X1.M + X2.Sc / X2.M, X1.Tc * X2.Tc / (X1.M * X2.M)
+    return float(S + T), float(X1.M * X2.M)
+
+
+def _coarser(shape: tuple[int, int], spacing: tuple[float, float]) -> tuple[int, int] | None:
+    """Rows and columns of the next grid, if it is not too coarse."""
+    (n, m), (h1, h2) = shape, spacing
+    nc = n // 2 + 1 if h2 < ALIKE * h1 else n
+    mc = m // 2 + 1 if h1 < ALIKE * h2 else m
+    return None if min(nc, mc) < COARSEST else (nc, mc)
 
 
 def _rigid_energy(F: Quadratic, stiffness: float) -> Array:
@@ -303,7 +305,7 @@ def _rigid_energy(F: Quadratic, stiffness: float) -> Array:
     k, l = np.indices((3, 3) if F.smoothness == "bending" else (1, 1))
     products1, products2 = w1 * phi1[k] * phi1[l], w2 * phi2[k] * phi2[l]
 
-    def energy(A: NDArray[Any]) -> Array:
+    def energy(A: Array | Mask) -> Array:
         return np.einsum("ikl,kli->kl", np.tensordot(A, products1, (1, 2)), products2)
 
     E11, E12, E22 = map(energy, F.terms.A)
@@ -313,19 +315,11 @@ def _rigid_energy(F: Quadratic, stiffness: float) -> Array:
     return np.block([[E11, E12], [E12, E22]])
 
 
-def _tables(
+def _axes(
     shape: tuple[int, int], spacing: tuple[float, float], alpha: float, bending: bool
-) -> tuple[Array, Array]:
-    """The tables X1 and X2 of a grid."""
-    X1, X2 = (
-        stencils.axis_table(n, float(h), alpha, bending)
-        for n, h in zip(shape[::-1], spacing, strict=True)
+) -> tuple[Axis, Axis]:
+    """Factors of the smoothness term of a grid, (lateral, axial)."""
+    lateral, axial = (
+        Axis.of(n, float(h), alpha, bending) for n, h in zip(shape[::-1], spacing, strict=True)
     )
-    return X1, X2
-
-
-def _between(n: int, nc: int) -> tuple[NDArray[np.intp], Array]:
-    """Where n nodes lie among nc nodes that share the ends: J, t of stencils.prolong."""
-    position = np.arange(n) * (nc - 1) / (n - 1)
-    J = np.minimum(position.astype(np.intp), nc - 2)
-    return J, position - J
+    return lateral, axial

@@ -22,10 +22,10 @@ def blur(I: Array, width: float | tuple[float, float]) -> Array:
     for n, std in zip(I.shape, np.broadcast_to(width, 2)[::-1], strict=True):
         offsets, gauss = taps(std)
         at, _ = mirrored(np.arange(n)[:, None] + offsets, n)
-        terms.append((at, np.tile(gauss, (n, 1))))
-    (at2, w2), (at1, w1) = terms
+        terms.append(kernels.Terms(at, np.tile(gauss, (n, 1))))
+    axial, lateral = terms
     J = np.empty(I.shape)
-    kernels.resample(J, np.ascontiguousarray(I, dtype=np.float64), at1, w1, at2, w2)
+    kernels.resample(J, np.require(I, np.float64, ["C", "W"]), lateral, axial)
     return J
 
 
@@ -53,9 +53,10 @@ def gaussians(axes: Sequence[Array], centres: Array, sigma: ArrayLike, weights: 
         for x, c in zip(axes, centres, strict=True)
     )
     x1, x2, centres, weights = (
-        np.ascontiguousarray(a, dtype=np.float64) for a in (*axes, centres, weights)
+        np.require(a, np.float64, ["C", "W"]) for a in (*axes, centres, weights)
     )
-    kernels.add_gaussians(total, x1, x2, centres, sigma, weights, columns, rows)
+    bumps = kernels.Bumps(centres, sigma, columns, rows)
+    kernels.add_gaussians(total, (x1, x2), bumps, weights)
     return total
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from eofm.grid import Array
 from eofm.imaging import kernels
 from eofm.imaging.gaussian import mirrored, taps
+from eofm.imaging.kernels import Terms
 
 
 class Spline:
@@ -29,7 +30,7 @@ class Spline:
     """
 
     def __init__(self, I: Array, odd: bool = False) -> None:
-        I = np.ascontiguousarray(I, dtype=np.float64)
+        I = np.require(I, np.float64, ["C", "W"])
         self.shape, self.odd = (I.shape[0], I.shape[1]), odd
         self.c = np.empty((I.shape[0] + 3, I.shape[1] + 3))
         kernels.coefficients(self.c, I)
@@ -71,11 +72,11 @@ class Spline:
 
     def resize(self, shape: tuple[int, int]) -> Array:
         """Samples on a grid of another size with the same corners, see :func:`resize`."""
-        (at2, w2), (at1, w1) = (
+        axial, lateral = (
             _terms(old, new, self.odd) for old, new in zip(self.shape, shape, strict=True)
         )
         J = np.empty(shape)
-        kernels.resample(J, self.c, at1, w1, at2, w2)
+        kernels.resample(J, self.c, lateral, axial)
         return J
 
     def _sample(
@@ -84,7 +85,7 @@ class Spline:
         shape = u.shape[1:]
         values, gradients = np.empty(shape), np.empty((components, *shape))
         inside = np.empty(shape, dtype=np.bool_)
-        u = np.ascontiguousarray(u, dtype=np.float64)
+        u = np.require(u, np.float64, ["C", "W"])
         kernels.sample(values, gradients, inside, self.c, u, step)
         return values, gradients, inside
 
@@ -115,10 +116,10 @@ def _turn(c: Array) -> None:
     c[0], c[n + 1], c[n + 2] = 2 * c[1] - c[2], 2 * c[n] - c[n - 1], 2 * c[n] - c[n - 2]
 
 
-def _terms(old: int, new: int, odd: bool) -> tuple[NDArray[np.intp], Array]:
-    """Which coefficients make a sample of an axis resized from old to new samples: at, w.
+def _terms(old: int, new: int, odd: bool) -> Terms:
+    """Which coefficients make a sample of an axis resized from old to new samples.
 
-    Both have shape (new, number of terms). The weights are those of the spline, after the
+    The weights are those of the spline, after the
     Gaussian of :func:`resize`; filters of images that are mirrored or odd commute, so that
     it may act on coefficients.
     """
@@ -136,7 +137,7 @@ def _terms(old: int, new: int, odd: bool) -> tuple[NDArray[np.intp], Array]:
         lower, upper = np.sum(w * (turned - copies), 1), np.sum(w * (turned + copies), 1)
         w = np.column_stack([np.where(turned, -w, w), lower, upper])
         at = np.column_stack([at, np.zeros_like(first), np.full_like(first, old - 1)])
-    return at + 1, w
+    return Terms(at + 1, w)
 
 
 def gradient(I: Array, spacing: tuple[float, float] = (1.0, 1.0)) -> Array:
