@@ -73,12 +73,19 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     Its machine code is kept next to the module or in NUMBA_CACHE_DIR. Functions that kernels
     call need numba's own decorator only, in the same file: numba sees no edits of others.
     """
-    kernel = njit(cache=True, nogil=True)(function)
+    # A check for division by zero would keep loops from being vectorised.
+    kernel = njit(cache=True, nogil=True, error_model="numpy")(function)
     find = kernel.compile
 
     def find_or_compile(signature: Any) -> Any:
         with _alone(kernel.stats.cache_path), event.install_listener("numba:compile", _Say()):
-            return find(signature)
+            try:
+                return find(signature)
+            except (AttributeError, ImportError):  # machine code for a class of another version
+                folder = Path(kernel.stats.cache_path or ".")
+                for index in folder.glob(f"*.{function.__qualname__}-*.nbi"):
+                    index.unlink()
+                return find(signature)
 
     kernel.compile = find_or_compile  # type: ignore[assignment, method-assign]
     return kernel

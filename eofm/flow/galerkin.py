@@ -8,38 +8,36 @@ import numpy as np
 from numba import njit
 
 from eofm.compiled import compiled, share
-from eofm.flow.stencils import AHEAD, STRIP, Operator, Real, Transfer
+from eofm.flow.stencils import AHEAD, SC, STRIP, TC, M, Operator, Real, Transfer
 
 
-@njit(cache=True)
-def _share(S, i, j, w, a):
-    """Share the block a of a node, (11, 12, 22), by weights among the corners of its cell."""
-    for c in range(3):
-        S[c, i, j] += w[0] * a[c]
-        S[c, i, j + 1] += w[1] * a[c]
-        S[c, i + 1, j] += w[2] * a[c]
-        S[c, i + 1, j + 1] += w[3] * a[c]
+@njit
+def _share(S, c, i, j, w, a):
+    """Share entry c of the term A of a node among the corners of its cell, by their weights."""
+    S[c, i, j] += w[0] * a
+    S[c, i, j + 1] += w[1] * a
+    S[c, i + 1, j] += w[2] * a
+    S[c, i + 1, j + 1] += w[3] * a
 
 
-@njit(cache=True)
-def _couple(S, i, j, w, a):
+@njit
+def _couple(S, c, i, j, w, a):
     """Couple the corners (i, j) to (i + 1, j + 1) of a cell by the products of their weights.
 
     If the sum of the weights w is 1, ``(sum_k w_k u_k) . A (sum_k w_k u_k)`` is
     ``sum_k w_k u_k . A u_k - sum_kl w_k w_l (u_k - u_l) . A (u_k - u_l)``, and if it is 0,
-    the last sum alone.
+    the last sum alone. c is the entry of A.
     """
     p, q, r, s = w
-    for c in range(3):
-        S[3 + c, i, j] += p * q * a[c]
-        S[3 + c, i + 1, j] += r * s * a[c]
-        S[6 + c, i, j + 1] += q * r * a[c]
-        S[9 + c, i, j] += p * r * a[c]
-        S[9 + c, i, j + 1] += q * s * a[c]
-        S[12 + c, i, j] += p * s * a[c]
+    S[3 + c, i, j] += p * q * a
+    S[3 + c, i + 1, j] += r * s * a
+    S[6 + c, i, j + 1] += q * r * a
+    S[9 + c, i, j] += p * r * a
+    S[9 + c, i, j + 1] += q * s * a
+    S[12 + c, i, j] += p * s * a
 
 
-@njit(cache=True)
+@njit
 def _share_spring(S, i, j, p, q, g):
     """Share the block g of two nodes, with weights p and q, among 3 x 3 coarse ones."""
     (p1, p2), (q1, q2) = p, q
@@ -53,37 +51,42 @@ def _share_spring(S, i, j, p, q, g):
                 if k + a > 2 or l + b > 2 or l + b < 0:
                     continue
                 f = -d * (p2[k + a] * p1[l + b] - q2[k + a] * q1[l + b])
-                for c in range(3):
-                    S[3 + 3 * o + c, i + k, j + l] += f * g[c]
+                S[3 + 3 * o, i + k, j + l] += f * g[0]
+                S[4 + 3 * o, i + k, j + l] += f * g[1]
+                S[5 + 3 * o, i + k, j + l] += f * g[2]
 
 
-@njit(cache=True)
+@njit
 def _around(J, t, start):
     """Weights of the three coarse nodes from ``start`` on."""
     return (1 - t, t, 0.0) if start == J else (0.0, 1 - t, t)
 
 
-@njit(cache=True)
+@njit
 def _add_nodes(S, top, i, coupled, K, transfer):
     """Add the blocks A of row i to the sums of a strip that begins at a coarse row."""
-    A, X1, X2 = K.A, K.axes[0], K.axes[1]
+    A, (X1, X2) = K.A, K.axes
     (J1, t1), (J2, t2) = transfer
     I = J2[i] - top
     for j in range(J1.size):
         if K.free[i, j]:
-            f = X2.M[i] * X1.M[j]
-            a = f * A[0, i, j], f * A[1, i, j], f * A[2, i, j]
+            f = X2[M, i] * X1[M, j]
+            a11, a12, a22 = f * A[0, i, j], f * A[1, i, j], f * A[2, i, j]
         else:
-            f = X2.M[i] * X1.Sc[j] + X2.Sc[i] * X1.M[j] + X2.Tc[i] * X1.Tc[j]
-            a = f, 0.0, f
+            f = X2[M, i] * X1[SC, j] + X2[SC, i] * X1[M, j] + X2[TC, i] * X1[TC, j]
+            a11, a12, a22 = f, 0.0, f
         p, q = 1 - t1[j], t1[j]
         w = (1 - t2[i]) * p, (1 - t2[i]) * q, t2[i] * p, t2[i] * q
-        _share(S, I, J1[j], w, a)
+        _share(S, 0, I, J1[j], w, a11)
+        _share(S, 1, I, J1[j], w, a12)
+        _share(S, 2, I, J1[j], w, a22)
         if coupled:
-            _couple(S, I, J1[j], w, a)
+            _couple(S, 0, I, J1[j], w, a11)
+            _couple(S, 1, I, J1[j], w, a12)
+            _couple(S, 2, I, J1[j], w, a22)
 
 
-@njit(cache=True)
+@njit
 def _add_springs(S, top, i, o, K, transfer):
     """Add the blocks G of row i in direction o."""
     G = K.G
@@ -98,7 +101,10 @@ def _add_springs(S, top, i, o, K, transfer):
         if q2[2] == 0 and p1[2] == 0 and q1[2] == 0:  # in one cell
             upper = p2[0] * p1[0] - q2[0] * q1[0], p2[0] * p1[1] - q2[0] * q1[1]
             lower = p2[1] * p1[0] - q2[1] * q1[0], p2[1] * p1[1] - q2[1] * q1[1]
-            _couple(S, I, J, (*upper, *lower), (-g[0], -g[1], -g[2]))
+            d = (*upper, *lower)
+            _couple(S, 0, I, J, d, -g[0])
+            _couple(S, 1, I, J, d, -g[1])
+            _couple(S, 2, I, J, d, -g[2])
         else:
             _share_spring(S, I, J, (p1, p2), (q1, q2), g)
 
@@ -117,10 +123,11 @@ def _coarsen(first, last, Ac, Gc, K, transfer):
                 if i + AHEAD[o][0] < J2.size:
                     _add_springs(S, top, i, o, K, transfer)
         for i in range(low, high):
-            for j in range(mc):
-                for c in range(3):
+            for c in range(3):
+                for j in range(mc):
                     Ac[c, i, j] = S[c, i - top, j]
-                for c in range(Gc.shape[0]):
+            for c in range(Gc.shape[0]):
+                for j in range(mc):
                     Gc[c, i, j] = S[3 + c, i - top, j]
 
 

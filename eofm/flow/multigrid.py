@@ -28,7 +28,7 @@ from eofm.errors import InputError
 from eofm.flow import stencils
 from eofm.flow.functional import Quadratic
 from eofm.flow.galerkin import coarsen
-from eofm.flow.stencils import Axis, Between, Operator, Real, Transfer
+from eofm.flow.stencils import SC, TC, Between, M, Operator, Real, Transfer, axis_table
 from eofm.grid import Array, Mask
 
 # Rows and columns below which there is no coarser grid.
@@ -257,8 +257,8 @@ def hierarchy(F: Quadratic) -> Level | Coarsest:
         coarsen(A, G, operator, transfer)
         spacing = h1 * (m - 1) / (mc - 1), h2 * (n - 1) / (nc - 1)
         axes = _axes(shape, spacing, F.alpha, operator.bending)
-        A /= axes[0].M
-        A /= axes[1].M[:, None]
+        A /= axes[0][M]
+        A /= axes[1][M, :, None]
         lateral, axial = (between.rounded(precision) for between in transfer)
         levels.append((operator.rounded(precision), (lateral, axial)))
         operator = Operator(A, G, np.ones(shape, dtype=np.bool_), axes, operator.bending)
@@ -279,9 +279,9 @@ def finest(F: Quadratic) -> Operator:
 
 def _stiffness(K: Operator) -> tuple[float, float]:
     """The diagonal of alpha R per area, and the area of a node, inside of the image."""
-    X1, X2 = (Axis(*(row[row.size // 2] for row in axis)) for axis in K.axes)
-    S, T = X1.Sc / X1.M + X2.Sc / X2.M, X1.Tc * X2.Tc / (X1.M * X2.M)
-    return float(S + T), float(X1.M * X2.M)
+    X1, X2 = (X[:, X.shape[1] // 2] for X in K.axes)
+    S, T = X1[SC] / X1[M] + X2[SC] / X2[M], X1[TC] * X2[TC] / (X1[M] * X2[M])
+    return float(S + T), float(X1[M] * X2[M])
 
 
 def _coarser(shape: tuple[int, int], spacing: tuple[float, float]) -> tuple[int, int] | None:
@@ -317,9 +317,9 @@ def _rigid_energy(F: Quadratic, stiffness: float) -> Array:
 
 def _axes(
     shape: tuple[int, int], spacing: tuple[float, float], alpha: float, bending: bool
-) -> tuple[Axis, Axis]:
+) -> tuple[Array, Array]:
     """Factors of the smoothness term of a grid, (lateral, axial)."""
     lateral, axial = (
-        Axis.of(n, float(h), alpha, bending) for n, h in zip(shape[::-1], spacing, strict=True)
+        axis_table(n, float(h), alpha, bending) for n, h in zip(shape[::-1], spacing, strict=True)
     )
     return lateral, axial

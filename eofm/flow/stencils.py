@@ -29,59 +29,35 @@ STRIP = 16
 TWO = np.uintp(2)
 
 
-class Axis(NamedTuple):
-    """Factors along one axis of ``alpha R = M2 x S1 + S2 x M1 + T2 x T1``, shape (n,) each.
+# Rows of the table of an axis: the diagonal of M, bands -2 to 2 of S and -1 to 1 of T, and the
+# sums over each row of |S| and |T|. One array holds them all: compilers vectorise loops over rows
+# of one array, but give up where they have to compare the addresses of many.
+M, SA, SB, SC, SD, SE, TB, TC, TD, S_SUM, T_SUM = range(11)
 
-    S is ``alpha int u' v'`` and T zero for the gradient; for bending S is
-    ``alpha int u'' v''`` and T is ``sqrt(2 alpha) int u' v'``.
 
-    Attributes
-    ----------
-    M : ndarray
-        Its diagonal, the trapezoidal weights.
-    Sa, Sb, Sc, Sd, Se : ndarray
-        Bands -2 to 2.
-    Tb, Tc, Td : ndarray
-        Bands -1 to 1.
-    S_sum, T_sum : ndarray
-        Sums over each row of ``|S|`` and ``|T|``.
+def axis_table(n: int, h: float, alpha: float, bending: bool) -> Array:
+    """Factors along one axis of ``alpha R = M2 x S1 + S2 x M1 + T2 x T1``, shape (11, n).
+
+    M holds the trapezoidal weights. S is ``alpha int u' v'`` and T zero for the gradient; for
+    bending S is ``alpha int u'' v''`` and T is ``sqrt(2 alpha) int u' v'``.
     """
 
-    M: Real
-    Sa: Real
-    Sb: Real
-    Sc: Real
-    Sd: Real
-    Se: Real
-    Tb: Real
-    Tc: Real
-    Td: Real
-    S_sum: Real
-    T_sum: Real
+    def bands(difference: tuple[float, ...]) -> Array:
+        order = len(difference) - 1
+        S = np.zeros((5, n))
+        for p, cp in enumerate(difference):
+            for q, cq in enumerate(difference):
+                S[2 + q - p, p : n - order + p] += cp * cq * h ** (1 - 2 * order)
+        return S
 
-    @classmethod
-    def of(cls, n: int, h: float, alpha: float, bending: bool) -> Self:
-        """Those of n nodes at distances h."""
-
-        def bands(difference: tuple[float, ...]) -> Array:
-            order = len(difference) - 1
-            S = np.zeros((5, n))
-            for p, cp in enumerate(difference):
-                for q, cq in enumerate(difference):
-                    S[2 + q - p, p : n - order + p] += cp * cq * h ** (1 - 2 * order)
-            return S
-
-        M = np.full(n, float(h))
-        M[[0, -1]] /= 2
-        S = alpha * bands((1.0, -2.0, 1.0) if bending else (-1.0, 1.0))
-        T = np.zeros((3, n))
-        if bending:
-            T = np.sqrt(2 * alpha) * bands((-1.0, 1.0))[1:4]
-        return cls(*np.vstack([M, S, T, abs(S).sum(0), abs(T).sum(0)]))
-
-    def rounded(self, precision: DTypeLike) -> Self:
-        """The same in another precision."""
-        return type(self)(*(row.astype(precision, copy=False) for row in self))
+    X = np.zeros((11, n))
+    X[M] = h
+    X[M, [0, -1]] /= 2
+    X[SA : SE + 1] = alpha * bands((1.0, -2.0, 1.0) if bending else (-1.0, 1.0))
+    if bending:
+        X[TB : TD + 1] = np.sqrt(2 * alpha) * bands((-1.0, 1.0))[1:4]
+    X[S_SUM], X[T_SUM] = abs(X[SA : SE + 1]).sum(0), abs(X[TB : TD + 1]).sum(0)
+    return X
 
 
 class Operator(NamedTuple):
@@ -101,7 +77,7 @@ class Operator(NamedTuple):
     free : ndarray of bool, shape (n, m)
         False where K u is not wanted.
     axes : (lateral, axial)
-        Factors of the smoothness term.
+        Factors of the smoothness term, see :func:`axis_table`.
     bending : bool
         Which smoothness they are made for.
     """
@@ -109,7 +85,7 @@ class Operator(NamedTuple):
     A: Real
     G: Real
     free: Mask
-    axes: tuple[Axis, Axis]
+    axes: tuple[Real, Real]
     bending: bool
 
     @property
@@ -121,7 +97,7 @@ class Operator(NamedTuple):
     def rounded(self, precision: DTypeLike) -> Self:
         """The same in another precision."""
         A, G = (array.astype(precision, copy=False) for array in (self.A, self.G))
-        lateral, axial = (axis.rounded(precision) for axis in self.axes)
+        lateral, axial = (axis.astype(precision, copy=False) for axis in self.axes)
         return type(self)(A, G, self.free, (lateral, axial), self.bending)
 
 
@@ -156,66 +132,68 @@ class Between(NamedTuple):
 Transfer = tuple[Between, Between]
 
 
-@njit(cache=True)
+@njit
 def _smoothness(s, u, i, axes, bending):
     """Row i of alpha R u for one component: u is (n + 4, m + 4), s is (m,)."""
     ua, ub, uc, ud, ue = u[i], u[i + 1], u[i + 2], u[i + 3], u[i + 4]
-    M, Sa, Sb, Sc, Sd, Se, Tb, Tc, Td = axes[0][:9]
-    X = axes[1]
-    w, sa, sb, sc, sd, se = X.M[i], X.Sa[i], X.Sb[i], X.Sc[i], X.Sd[i], X.Se[i]
-    tb, tc, td = X.Tb[i], X.Tc[i], X.Td[i]
+    X1, X2 = axes
+    m, w = X1[M], X2[M, i]
+    Sa, Sb, Sc, Sd, Se = X1[SA], X1[SB], X1[SC], X1[SD], X1[SE]
+    Tb, Tc, Td = X1[TB], X1[TC], X1[TD]
+    sa, sb, sc, sd, se = X2[SA, i], X2[SB, i], X2[SC, i], X2[SD, i], X2[SE, i]
+    tb, tc, td = X2[TB, i], X2[TC, i], X2[TD, i]
     for j in range(s.size):
-        s[j] = w * (Sb[j] * uc[j + 1] + Sc[j] * uc[j + 2] + Sd[j] * uc[j + 3]) + M[j] * (
+        s[j] = w * (Sb[j] * uc[j + 1] + Sc[j] * uc[j + 2] + Sd[j] * uc[j + 3]) + m[j] * (
             sb * ub[j + 2] + sc * uc[j + 2] + sd * ud[j + 2]
         )
     if bending:
         for j in range(s.size):
             s[j] += (
                 w * (Sa[j] * uc[j] + Se[j] * uc[j + 4])
-                + M[j] * (sa * ua[j + 2] + se * ue[j + 2])
+                + m[j] * (sa * ua[j + 2] + se * ue[j + 2])
                 + Tb[j] * (tb * ub[j + 1] + tc * uc[j + 1] + td * ud[j + 1])
                 + Tc[j] * (tb * ub[j + 2] + tc * uc[j + 2] + td * ud[j + 2])
                 + Td[j] * (tb * ub[j + 3] + tc * uc[j + 3] + td * ud[j + 3])
             )
 
 
-@njit(cache=True)
-def _springs(s, u, G, o, i, ahead):
-    """Add ``G (u_q - u_p)`` to row i of s, for its neighbours q in direction o or against it.
+@njit
+def _springs(s, u, G, o, rows, columns):
+    """Add ``G (u_q - u_p)`` to s on ``size`` nodes from node p of row i, q of row l onwards.
 
-    Indices are unsigned and components separate, or the loop would not be vectorised.
+    The blocks G in direction o belong to the nodes of row k from ``low`` onwards. Indices
+    are unsigned and components separate, or the loop would not be vectorised.
     """
-    a, b = AHEAD[o]
-    low, high = np.uintp(max(0, -b)), np.uintp(max(0, b))
-    p, q, k, l = (low, high, i, i + a) if ahead else (high, low, i - a, i - a)
+    (i, k, l), (low, p, q, size) = rows, columns
     for c in range(2):
-        for j in range(np.uintp(s.shape[1] - abs(b))):
+        for j in range(size):
             d1 = u[0, l + 2, j + q + TWO] - u[0, i + 2, j + p + TWO]
             d2 = u[1, l + 2, j + q + TWO] - u[1, i + 2, j + p + TWO]
             s[c, j + p] += G[3 * o + c, k, j + low] * d1 + G[3 * o + c + 1, k, j + low] * d2
 
 
-@njit(cache=True)
+@njit
 def _row(s, u, i, K):
     """Row i of K u, written to s, shape (2, m)."""
-    A, G, n = K.A, K.G, K.free.shape[0]
+    A, G, (X1, X2) = K.A, K.G, K.axes
+    n, m = K.free.shape
     for c in range(2):
         _smoothness(s[c], u[c], i, K.axes, K.bending)
     v1, v2 = u[0, i + 2], u[1, i + 2]
-    M, w = K.axes[0].M, K.axes[1].M[i]
-    for j in range(s.shape[1]):
-        area = w * M[j]
+    for j in range(m):
+        area = X2[M, i] * X1[M, j]
         s[0, j] += area * (A[0, i, j] * v1[j + 2] + A[1, i, j] * v2[j + 2])
         s[1, j] += area * (A[1, i, j] * v1[j + 2] + A[2, i, j] * v2[j + 2])
     for o in range(G.shape[0] // 3):
-        a = AHEAD[o][0]
-        if i + a < n:
-            _springs(s, u, G, o, i, True)
-        if i >= a:
-            _springs(s, u, G, o, i, False)
+        a, b = AHEAD[o]
+        p, q, size = np.uintp(max(0, -b)), np.uintp(max(0, b)), np.uintp(m - abs(b))
+        if i + a < n:  # the neighbours ahead
+            _springs(s, u, G, o, (i, i, i + a), (p, p, q, size))
+        if i >= a:  # the neighbours behind
+            _springs(s, u, G, o, (i, i - a, i - a), (p, q, p, size))
 
 
-@njit(cache=True, fastmath={"reassoc", "contract"})
+@njit(fastmath={"reassoc", "contract"})
 def _dot(u, q):
     """``u . q`` of a row of a field and one of a functional: the same for any threads."""
     total = 0.0
@@ -224,17 +202,21 @@ def _dot(u, q):
     return total
 
 
+@njit
+def _product_row(q, u, i, K):
+    s = np.empty((2, K.free.shape[1]), u.dtype)
+    _row(s, u, i, K)
+    zero = u.dtype.type(0)
+    for c in range(2):
+        for j in range(s.shape[1]):
+            q[c, i, j] = s[c, j] if K.free[i, j] else zero
+    return _dot(u[0, i + 2], q[0, i]) + _dot(u[1, i + 2], q[1, i])
+
+
 @compiled
 def _product(first, last, q, sums, u, K):
-    free = K.free
-    s = np.empty((2, free.shape[1]), u.dtype)
-    zero = u.dtype.type(0)
     for i in range(first, last):
-        _row(s, u, i, K)
-        for c in range(2):
-            for j in range(free.shape[1]):
-                q[c, i, j] = s[c, j] if free[i, j] else zero
-        sums[i] = _dot(u[0, i + 2], q[0, i]) + _dot(u[1, i + 2], q[1, i])
+        sums[i] = _product_row(q, u, i, K)
 
 
 def product(q: Real, u: Real, K: Operator) -> Array:
@@ -244,32 +226,33 @@ def product(q: Real, u: Real, K: Operator) -> Array:
     return sums
 
 
-@compiled
-def _chebyshev(first, last, y, x, b, steps, K):
-    A, free, X1, X2 = K.A, K.free, K.axes[0], K.axes[1]
-    c1, c2, from_zero = steps
-    m = free.shape[1]
-    s = np.zeros((2, m), x.dtype)
+@njit
+def _chebyshev_row(y, x, b, i, c1, c2, from_zero, K):
+    A, free, (X1, X2) = K.A, K.free, K.axes
+    s = np.zeros((2, free.shape[1]), x.dtype)
+    if not from_zero:
+        _row(s, x, i, K)
+    x1, x2, y1, y2 = x[0, i + 2], x[1, i + 2], y[0, i + 2], y[1, i + 2]
     zero = x.dtype.type(0)
+    for j in range(free.shape[1]):
+        bound = X2[M, i] * X1[S_SUM, j] + X2[S_SUM, i] * X1[M, j] + X2[T_SUM, i] * X1[T_SUM, j]
+        area = X2[M, i] * X1[M, j]
+        d11, d12, d22 = area * A[0, i, j] + bound, area * A[1, i, j], area * A[2, i, j] + bound
+        f = c2 / (d11 * d22 - d12 * d12) if free[i, j] else zero
+        r1, r2 = b[0, i, j] - s[0, j], b[1, i, j] - s[1, j]
+        z1 = f * (d22 * r1 - d12 * r2)
+        z2 = f * (d11 * r2 - d12 * r1)
+        if from_zero:
+            x1[j + 2], x2[j + 2], y1[j + 2], y2[j + 2] = zero, zero, z1, z2
+        else:
+            y1[j + 2] = x1[j + 2] + c1 * (x1[j + 2] - y1[j + 2]) + z1
+            y2[j + 2] = x2[j + 2] + c1 * (x2[j + 2] - y2[j + 2]) + z2
+
+
+@compiled
+def _chebyshev(first, last, y, x, b, c1, c2, from_zero, K):
     for i in range(first, last):
-        if not from_zero:
-            _row(s, x, i, K)
-        x1, x2, y1, y2 = x[0, i + 2], x[1, i + 2], y[0, i + 2], y[1, i + 2]
-        M, S, T = X2.M[i], X2.S_sum[i], X2.T_sum[i]
-        for j in range(m):
-            bound = M * X1.S_sum[j] + S * X1.M[j] + T * X1.T_sum[j]
-            area = M * X1.M[j]
-            d11, d22 = area * A[0, i, j] + bound, area * A[2, i, j] + bound
-            d12 = area * A[1, i, j]
-            f = c2 / (d11 * d22 - d12 * d12) if free[i, j] else zero
-            r1, r2 = b[0, i, j] - s[0, j], b[1, i, j] - s[1, j]
-            z1 = f * (d22 * r1 - d12 * r2)
-            z2 = f * (d11 * r2 - d12 * r1)
-            if from_zero:
-                x1[j + 2], x2[j + 2], y1[j + 2], y2[j + 2] = zero, zero, z1, z2
-            else:
-                y1[j + 2] = x1[j + 2] + c1 * (x1[j + 2] - y1[j + 2]) + z1
-                y2[j + 2] = x2[j + 2] + c1 * (x2[j + 2] - y2[j + 2]) + z2
+        _chebyshev_row(y, x, b, i, c1, c2, from_zero, K)
 
 
 def chebyshev(y: Real, x: Real, b: Real, step: int, from_zero: bool, K: Operator) -> None:
@@ -281,7 +264,7 @@ def chebyshev(y: Real, x: Real, b: Real, step: int, from_zero: bool, K: Operator
     """
     number = b.dtype.type
     c1, c2 = max(0.0, (2 * step - 3) / (2 * step + 1)), (8 * step - 4) / (2 * step + 1)
-    share(_chebyshev, K.shape[0], K.free.size, y, x, b, (number(c1), number(c2), from_zero), K)
+    share(_chebyshev, K.shape[0], K.free.size, y, x, b, number(c1), number(c2), from_zero, K)
 
 
 @compiled
@@ -336,7 +319,7 @@ def prolong(x: Real, e: Real, free: Mask, transfer: Transfer) -> None:
     share(_prolong, free.shape[0], free.size, x, e, free, transfer)
 
 
-@njit(cache=True, fastmath={"reassoc", "contract"})
+@njit(fastmath={"reassoc", "contract"})
 def _advance_row(x, r, b, p, q, step, i):
     residual, change = 0.0, 0.0
     for c in range(2):

@@ -122,7 +122,7 @@ def coefficients(c: Array, I: Array) -> None:
     share(_filter_columns, (I.shape[1] + 2) // STRIP + 1, I.size, c)
 
 
-@njit(cache=True)
+@njit
 def _locate(x, n):
     """The sample before x, for x in the range of n samples, and the distance from it."""
     x = min(x, n - 1.0) if x > 0 else 0.0
@@ -139,7 +139,7 @@ def weights(t):
     return w, d
 
 
-_weights = njit(cache=True)(weights)
+_weights = njit(weights)
 
 
 @compiled

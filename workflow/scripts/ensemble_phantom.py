@@ -6,7 +6,6 @@ The preset without knowledge, ``preset_free``, gets the images alone, as other t
 from contextlib import redirect_stdout
 from pathlib import Path
 
-import numba
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 import eofm
 from eofm import io
 from eofm.app.config import Ensemble
+from eofm.compiled import use_threads
 from eofm.elasticity.forward import lame
 from eofm.imaging.intensity import normalise
 
@@ -81,7 +81,7 @@ def overlap(E: Array, truth: Array) -> float:
 def main() -> None:
     """Write all files of a phantom, and a row of relative errors."""
     number = int(snakemake.wildcards.number)
-    numba.set_num_threads(min(snakemake.threads, numba.config.NUMBA_NUM_THREADS))
+    use_threads(snakemake.threads)
     given, out = snakemake.params, {k: Path(v) for k, v in snakemake.output.items()}
     ensemble = Ensemble(**given.ensemble)
     sample, speckle = draw(ensemble, eofm.Sample(**given.sample), number)

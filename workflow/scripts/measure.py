@@ -9,10 +9,11 @@ import time
 from collections.abc import Callable
 from typing import TypeVar
 
-import numba
 from threadpoolctl import threadpool_limits
 
-numba.set_num_threads(1)
+from eofm.compiled import use_threads
+
+use_threads(1)
 threadpool_limits(1)
 
 T = TypeVar("T")
