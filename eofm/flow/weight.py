@@ -10,12 +10,11 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
 
 from eofm.flow.functional import Pointwise, Quadratic
 from eofm.flow.matching import BLOCK, Match, held_out
 from eofm.flow.multigrid import multigrid
-from eofm.grid import Array, Grid
+from eofm.grid import Array, Grid, Mask
 from eofm.settings import ALPHA
 
 # Samples over which the first weight smooths.
@@ -122,7 +121,7 @@ class _Trial:
         self.match, self.about, self.free = match, about, free
         out = held_out(match.grid.shape, fold)
         self.out = out & match.used
-        terms = match.density(about, ~binary_dilation(out, np.ones((3, 3)), MARGIN))
+        terms = match.density(about, ~_around(out, MARGIN))
         self.terms = Pointwise(terms.A + ridge * np.reshape([1, 0, 1], (3, 1, 1)), terms.b)
         self.prescribed, self.v = prescribed, np.zeros_like(about)
 
@@ -132,6 +131,13 @@ class _Trial:
         self.v = multigrid(F.shifted(self.prescribed), change=ACCURACY, initial=self.v)
         r = self.match.residual(self.about + self.prescribed + self.v)
         return float(np.sum(r[self.out] ** 2))
+
+
+def _around(mask: Mask, margin: int) -> Mask:
+    """Pixels of a mask and those no farther than a margin along each axis."""
+    sides = (2 * margin + 1,) * mask.ndim
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(mask, margin), sides)
+    return np.any(windows, axis=tuple(range(mask.ndim, 2 * mask.ndim)))
 
 
 def _windows(shape: tuple[int, int]) -> list[tuple[slice, slice]]:
