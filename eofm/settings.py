@@ -276,6 +276,7 @@ PAPER = {
     "ends": "half",
     "lengths": "scale",
     "denoising": 0.0,
+    "robust": False,
 }
 # The reading of the multi-scale scheme that follows large motions, which the preset has.
 WARPING: dict[str, Any] = {
@@ -361,6 +362,12 @@ class Estimation(Section):
         ge=0,
         description="Gaussian applied to the linearised images, px of each scale; none: up to 0.6,"
         " by the share of white noise in what is left of their difference",
+    )
+
+    robust: bool = Field(
+        True,
+        description="whether to fit changes of brightness and contrast, to weigh residuals by"
+        " their noise, to leave out highlights and saturated lines, and to search far away",
     )
 
     @model_validator(mode="before")

@@ -1,6 +1,7 @@
 """The elastographic optical flow method: all five tests of the paper, and your images."""
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,12 +12,15 @@ from eofm.flow.functional import Pointwise, Quadratic
 from eofm.flow.known import Known
 from eofm.flow.matching import ImagePair, Match, random_signs
 from eofm.flow.multigrid import multigrid
-from eofm.flow.problem import Problem, normalised
-from eofm.flow.pyramid import sampled
+from eofm.flow.problem import FINEST, Problem, sampled_pairs
+from eofm.flow.start import correlation, match_blocks
 from eofm.flow.trust import Trust, judge
-from eofm.grid import Array, Edge, componentwise, unit_spacing
+from eofm.grid import Array, Edge, Grid, componentwise, unit_spacing
 from eofm.imaging.splines import resize_field
 from eofm.settings import Estimation
+
+# Side of the grid on which starts are compared, samples.
+SIDE = 160
 
 
 @dataclass(frozen=True)
@@ -54,16 +58,17 @@ class Estimate:
     def match(self) -> Match:
         """The images linearised about ``u``, in true lengths."""
         u = resize_field(self.spacing * self.u, self.pair.grid.shape)
-        return self.pair.linearise(u).filtered(self.denoising)
+        return self.pair.linearise_near(u, self.denoising)
 
     @cached_property
     def trust(self) -> Trust:
         """Whether the images, on the last scale, bear the estimate out."""
-        grid = self.pair.grid
-        u = resize_field(self.spacing * self.u, grid.shape)
-        match = self.pair.linearise(u)
-        samples = u / componentwise(grid.spacing, 2)
-        trust = judge(self.pair.I1, self.pair.I1 + match.r, match.used, samples, self.edges)
+        # As they are: not even their brightness is fitted.
+        pair = replace(self.pair, robust=False)
+        u = resize_field(self.spacing * self.u, pair.grid.shape)
+        match = pair.linearise(u)
+        samples = u / componentwise(pair.grid.spacing, 2)
+        trust = judge(pair.I1, pair.I1 + match.r, match.used, samples, self.edges)
         return trust.on(self.u.shape[1:])
 
     def deviation(self, samples: int = 32, seed: int = 0) -> Array:
@@ -171,15 +176,30 @@ def estimate_displacement(
     True
     """
     known.check(I1, I2)
-    images = normalised(I1, I2, settings, known.pixel_size)
     problem = Problem.of(I1.shape, settings, known)
-    pairs = zip(*(sampled(I, problem.grids) for I in images), strict=True)
+    pairs = sampled_pairs(I1, I2, problem.grids, settings, known)
     u = problem.u_bg
     chosen: tuple[float, ...] = ()
     hidden = None if progress else True
-    for number, (J1, J2) in enumerate(tqdm(pairs, "scales", len(problem.grids), disable=hidden)):
-        level = problem.level(number, J1, J2, u)
-        u, alpha, F, chosen = level.improve(chosen, progress)
+    for number, pair in enumerate(tqdm(pairs, "scales", disable=hidden)):
+        u, alpha, F, chosen = problem.level(number, pair, u).improve(chosen, progress)
+        if settings.robust and number == start_number(problem.grids):
+            u = best_start(problem, number, pair, u)
     spacing = componentwise(unit_spacing(known.pixel_size), 2)
     u = problem.carried(u, I1.shape) / spacing
-    return Estimate(u, alpha, level.pair, settings.denoising, F, spacing, tuple(problem.v_edges))
+    return Estimate(u, alpha, pair, settings.denoising, F, spacing, tuple(problem.v_edges))
+
+
+def start_number(grids: Sequence[Grid]) -> int:
+    """Grid on which starts are compared, the largest of up to ``SIDE``^2 samples; -1 for none."""
+    small = [math.prod(grid.shape) <= SIDE**2 for grid in grids[:-FINEST]]
+    return sum(small) - 1
+
+
+def best_start(problem: Problem, number: int, pair: ImagePair, u: Array) -> Array:
+    """That of ``u`` and the field of matched blocks after which the images correlate best."""
+    matched = match_blocks(pair.I1 - pair.I1.mean(), pair.I2 - pair.I2.mean(), pair.grid)
+    if matched is None:
+        return u
+    other = problem.level(number, pair, matched).improve((), False).u
+    return max(u, other, key=lambda v: correlation(pair.I1, pair.I2, v, pair.grid))

@@ -8,6 +8,7 @@ import numpy as np
 from eofm.flow.functional import Pointwise, data_term
 from eofm.grid import Array, Grid, Mask, componentwise
 from eofm.imaging.gaussian import blur
+from eofm.imaging.intensity import Window
 from eofm.imaging.splines import Spline, gradient
 
 # Side of the blocks of pixels that are held out together, and whose residuals are taken to
@@ -18,6 +19,12 @@ WHITE, SHARP = 0.6, 0.2
 # Share of data at a place between pixels that carry data and others.
 LIVE = 0.9
 TINY = np.finfo(np.float64).tiny
+# Widths over which brightness and contrast, and the noise, are taken to be constant, samples.
+BRIGHTNESS, NOISE = 12.0, 8.0
+# Least local contrast and variance, as a part of the image's: black is not to be raised.
+LEAST_CONTRAST, LEAST_VARIANCE = 0.02, 0.1
+# Squared residuals above so many local variances are not counted among them, and most.
+OUTLIER, HEAVIEST = 9.0, 50.0
 
 
 @dataclass(frozen=True)
@@ -33,6 +40,8 @@ class Match:
     r : ndarray, shape (height, width)
     used : ndarray of bool, shape (height, width)
         Pixels that carry data: neither dead nor moved out of the image.
+    weight : ndarray, shape (height, width), optional
+        By the root of which g and r were multiplied, see :meth:`weighed`.
     """
 
     grid: Grid
@@ -40,6 +49,32 @@ class Match:
     g: Array
     r: Array
     used: Mask
+    weight: Array | None = None
+
+    def weighed(self) -> "Match":
+        """Return the same with g and r in units of the noise, which is not alike everywhere.
+
+        Speckle that decorrelates leaves residuals as large as it is bright: each is divided by
+        the deviation of those around it. What is left is taken for a Student t distribution,
+        with the degrees of freedom that its kurtosis tells (Gaussian noise: none are
+        outliers), and weighed accordingly (Lange, Little and Taylor, J. Am. Stat. Assoc. 84,
+        1989). The mean weight is 1.
+        """
+        if not self.used.any():
+            return self
+        around, r2 = Window(self.used, NOISE), self.r**2
+        variance = around.mean(r2)
+        for _ in range(2):
+            variance = around.mean(np.minimum(r2, OUTLIER * variance))
+        variance += LEAST_VARIANCE * variance[self.used].mean() + TINY
+        z2 = r2 / variance
+        z = np.minimum(z2[self.used], HEAVIEST)
+        excess = (z**2).mean() / max(z.mean() ** 2, TINY) - 3
+        nu = 4 + 6 / max(excess, 1e-2)
+        w = (nu + 1) / (nu + z2 * nu / (nu - 2)) / variance
+        w /= w[self.used].mean()
+        root = np.sqrt(w)
+        return replace(self, g=self.g * root, r=self.r * root, weight=w)
 
     def density(self, about: Array, mask: Mask | None = None) -> Pointwise:
         """Return the data term of ``v``, where the displacement is ``about + v``, on a mask."""
@@ -112,35 +147,64 @@ class ImagePair:
     ----------
     grid : Grid
     I1, I2 : ndarray, shape (height, width)
-    live : ndarray of bool, shape (height, width)
-        Pixels that carry data, in both images.
+    live, live_after : ndarray of bool, shape (height, width)
+        Pixels that carry data, in I1 and in I2.
     mean : bool
         Whether g is the mean of the gradients of I1 and of the warped I2, which is exact to
         second order and halves the variance of their noise, or the gradient of I1, as in
         the paper.
+    robust : bool
+        Whether I1 is given the local brightness and contrast of the warped I2, and residuals
+        are weighed.
     """
 
     grid: Grid
     I1: Array
     I2: Array
     live: Mask
+    live_after: Mask
     mean: bool
+    robust: bool = False
 
     def linearise(self, u: Array) -> Match:
         """Return the images linearised about a displacement."""
+        return self._linearise(u)[0]
+
+    def linearise_near(self, u: Array, denoising: float | None) -> Match:
+        """Return the same about a field whose residual is noise: filtered and weighed.
+
+        The product of the noise of a warped image and of its gradient has a mean, for the
+        noise that a spline lets through depends on where between the pixels it is taken.
+        That would pull motions; as far as noise is white, g is the gradient of I1 alone.
+        """
+        match, g = self._linearise(u)
+        if not self.robust:
+            return match.filtered(denoising)
+        if self.mean and (white := match.whiteness):
+            match = replace(match, g=white * g + (1 - white) * match.g)
+        return match.filtered(denoising).weighed()
+
+    def _linearise(self, u: Array) -> tuple[Match, Array]:
+        """Images linearised about a displacement, and the gradient of I1."""
         samples = u / componentwise(self.grid.spacing, 2)
         if self.mean:
             warped, g, inside = self._spline.warp_with_gradient(samples, self.grid.spacing)
-            g += self._gradient
-            g /= 2
         else:
             warped, inside = self._spline.warp(samples)
-            g = self._gradient
         used = inside & self.live
-        if not self.live.all():
-            used &= Spline(self.live.astype(np.float64)).warp(samples)[0] > LIVE
-        warped -= self.I1
-        return Match(self.grid, u, g, warped, used)
+        if not self.live_after.all():
+            used &= Spline(self.live_after.astype(np.float64)).warp(samples)[0] > LIVE
+        I1, g1 = self.I1, self._gradient
+        if self.robust and used.any():
+            gain, offset = brightness(I1, warped, used)
+            I1, g1 = gain * I1 + offset, gain * g1
+        if self.mean:
+            g += g1
+            g /= 2
+        else:
+            g = g1
+        warped -= I1
+        return Match(self.grid, u, g, warped, used), g1
 
     @cached_property
     def _spline(self) -> Spline:
@@ -149,6 +213,24 @@ class ImagePair:
     @cached_property
     def _gradient(self) -> Array:
         return gradient(self.I1, self.grid.spacing)
+
+
+def brightness(I1: Array, warped: Array, used: Mask) -> tuple[Array, Array]:
+    """Gain and offset fields that give I1 the local mean and contrast of the warped I2.
+
+    A generalised dynamic image model (Negahdaripour, IEEE Trans. Pattern Anal. Mach. Intell. 20,
+    1998) by moments, which noise in both images does not bias as a regression would be.
+    """
+    around = Window(used, BRIGHTNESS)
+
+    def moments(I: Array) -> tuple[Array, Array]:
+        mean = around.mean(I)
+        least = LEAST_CONTRAST * I[used].std()
+        return mean, np.sqrt(np.maximum(around.mean(I**2) - mean**2, 0) + least**2 + TINY)
+
+    (mean1, contrast1), (mean2, contrast2) = moments(I1), moments(warped)
+    gain = contrast2 / contrast1
+    return gain, mean2 - gain * mean1
 
 
 def held_out(shape: tuple[int, ...], fold: int = 0, block: int = BLOCK) -> Mask:

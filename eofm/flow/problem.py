@@ -10,16 +10,19 @@ from eofm.flow.functional import Pointwise, Quadratic, edge_term, speckle_term
 from eofm.flow.known import Known
 from eofm.flow.matching import ImagePair, Match
 from eofm.flow.multigrid import multigrid
-from eofm.flow.pyramid import pyramid, solving
+from eofm.flow.pyramid import pyramid, sampled, solving
 from eofm.flow.weight import choose_alpha, combined, enough, first_alpha
 from eofm.grid import FACES, Array, Edge, Grid, Mask, along_edge, componentwise, unit_spacing
-from eofm.imaging.intensity import normalise, normalise_locally
+from eofm.imaging.intensity import defects, filled, normalise, normalise_locally
 from eofm.imaging.splines import evaluate_field, resize, resize_field
 from eofm.settings import Estimation
 
 # Change of u by the last iteration of a solve whose result stays, px, which leaves a tenth of that;
 # and of solves that are followed by another about their result.
 FINE, ROUGH = 1e-3, 1e-2
+# The finest scales, on which brightness is fitted and residuals are weighed; and the window in
+# which the images of coarser ones are normalised, samples of each.
+FINEST, COARSE = 2, (8.0, 8.0)
 
 
 @dataclass(frozen=True)
@@ -36,8 +39,6 @@ class Problem:
         ``v`` on the edges of known motion.
     x, motion : ndarray, shape (2, M)
         Bubbles and their motion less that of the background.
-    dead : ndarray, shape (height, width)
-        1 where there is no data, else 0.
     """
 
     settings: Estimation
@@ -46,13 +47,11 @@ class Problem:
     v_edges: dict[Edge, Array]
     x: Array
     motion: Array
-    dead: Array
 
     @classmethod
     def of(cls, shape: tuple[int, int], settings: Estimation, known: Known) -> Self:
         """Return what is known, checked against the size of the images."""
         background = np.zeros((2, *shape)) if known.background is None else known.background
-        dead = np.zeros(shape, dtype=bool) if known.dead is None else known.dead
         spacing = unit_spacing(known.pixel_size)
         # One scale is no multi-scale scheme, and has the pixels.
         skipped = int(settings.ends == "half" and settings.scales != 1)
@@ -66,16 +65,14 @@ class Problem:
         v_edges |= {edge: np.zeros_like(at(edge)) for edge in settings.zero_edges}
         x, motion = known.motions(shape)
         update = h * (motion - evaluate_field(background, x))
-        return cls(settings, grids, u_bg, v_edges, h * x, update, dead.astype(float))
+        return cls(settings, grids, u_bg, v_edges, h * x, update)
 
-    def level(self, number: int, I1: Array, I2: Array, u: Array) -> "Level":
+    def level(self, number: int, pair: ImagePair, u: Array) -> "Level":
         """Return the problem on one of the grids, with the images sampled there.
 
         ``u`` is the field of the grid before. Where R acts on updates, it takes the part of u_bg.
         """
         settings, grid, finest = self.settings, self.grids[number], number == len(self.grids) - 1
-        live = resize(self.dead, grid.shape) < 0.5
-        pair = ImagePair(grid, I1, I2, live, settings.gradients == "mean")
         u = self.carried(u, grid.shape)
         u_bg = base = resize_field(self.u_bg, grid.shape)
         edges, motion, known = _on_edges(grid, self.v_edges), self.motion, []
@@ -162,9 +159,7 @@ class Level:
         # The first field of a scale may still be far from it, and its residual no noise.
         near = min(1, settings.warps - 1)
         for warp in range(settings.warps):
-            match = self._linearised(u, self.still and warp == 0)
-            if warp >= near:
-                match = match.filtered(settings.denoising)
+            match = self._linearised(u, self.still and warp == 0, warp >= near)
             alpha = settings.alpha or combined(chosen) or first_alpha(match)
             if self.decides and warp == near:
                 trial = choose_alpha(match, self.base, self.prescribed, self.free, alpha)
@@ -179,10 +174,12 @@ class Level:
                 u = about + multigrid(F, change=change, initial=u - about, report=report)
         return Improved(u, alpha, F, chosen)
 
-    def _linearised(self, u: Array, still: bool) -> Match:
+    def _linearised(self, u: Array, still: bool, near: bool) -> Match:
         """The images linearised about what I2 is warped by."""
         by = u - self.u_bg if self.settings.warped_by == "v" else u
-        return self.pair.linearise(0 * u if still else by)
+        by = 0 * u if still else by
+        denoising = self.settings.denoising
+        return self.pair.linearise_near(by, denoising) if near else self.pair.linearise(by)
 
 
 class Improved(NamedTuple):
@@ -192,6 +189,32 @@ class Improved(NamedTuple):
     alpha: float
     functional: Quadratic
     chosen: tuple[float, ...]
+
+
+def sampled_pairs(
+    I1: Array, I2: Array, grids: list[Grid], settings: Estimation, known: Known
+) -> list[ImagePair]:
+    """The images on grids from coarse to fine, as the estimate sees them.
+
+    With ``settings.robust``, the pixels of defects are dead, and on all but the two finest grids
+    brightness and contrast are normalised locally.
+    """
+    dead = np.zeros(I1.shape, dtype=bool) if known.dead is None else known.dead
+    before = after = dead
+    if settings.robust:
+        J1, J2 = normalise(I1, I2)
+        before, after = dead | defects(filled(J1, dead)), dead | defects(filled(J2, dead))
+        I1, I2 = filled(I1, before), filled(I2, after)
+    images = [sampled(I, grids) for I in normalised(I1, I2, settings, known.pixel_size)]
+    pairs = []
+    for number, (grid, J1, J2) in enumerate(zip(grids, *images, strict=True)):
+        fine = number >= len(grids) - FINEST
+        if settings.robust and not fine:
+            J1, J2 = normalise_locally(J1, COARSE), normalise_locally(J2, COARSE)
+        live, live_after = (resize(m.astype(float), grid.shape) < 0.5 for m in (before, after))
+        mean, robust = settings.gradients == "mean", settings.robust and fine
+        pairs.append(ImagePair(grid, J1, J2, live, live_after, mean, robust))
+    return pairs
 
 
 def normalised(

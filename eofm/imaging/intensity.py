@@ -1,11 +1,21 @@
-"""One grey scale for two images."""
+"""One grey scale for two images, and pixels that show no sample."""
 
 import numpy as np
+from scipy import ndimage
 
 from eofm.errors import InputError
-from eofm.grid import Array
+from eofm.grid import Array, Mask
+from eofm.imaging import kernels
 from eofm.imaging.gaussian import blur
 from eofm.settings import LARGEST, LEAST
+
+# A highlight is so many times as high above the median as nine in ten local maxima are, which
+# are the brightest of squares of PEAK px; and its surroundings, px, are none the better.
+HIGHLIGHT, PEAK, MARGIN = 3.0, 5, 2
+# Where there are more of them, that is what the sample looks like.
+RARE = 0.02
+# Length of a line of saturated pixels that no structure makes, px.
+LINE = 32
 
 
 def normalise(
@@ -58,3 +68,66 @@ def normalise_locally(I: Array, window: tuple[float, float]) -> Array:
     deviation = I - blur(I, window)
     contrast = np.sqrt(blur(deviation**2, window) + (0.1 * I.std()) ** 2)
     return 0.5 + deviation / (6 * contrast)
+
+
+def defects(I: Array) -> Mask:
+    """Pixels that show the detector instead of the sample: highlights and saturated lines.
+
+    Saturated pixels as such are none: what is clipped where it is bright moves with the
+    sample. Neither is found where either would make up more than 2 % of the image.
+    """
+    above = I - np.median(I)
+    peaks = above[(ndimage.maximum_filter(I, PEAK) <= I) & (above > 0)]
+    if not peaks.size:
+        return np.zeros(I.shape, dtype=bool)
+    bright = above > HIGHLIGHT * np.quantile(peaks, 0.9)
+    top = above >= np.max(above, where=~bright, initial=0.0)
+    lines = [ndimage.binary_opening(top, np.ones(shape)) for shape in ((1, LINE), (LINE, 1))]
+    found = bright | lines[0] | lines[1]
+    if not 0 < found.mean() < RARE:
+        return np.zeros_like(found)
+    return ndimage.binary_dilation(found, iterations=MARGIN)
+
+
+def filled(I: Array, dead: Mask) -> Array:
+    """The image with each dead pixel as its nearest live one."""
+    if not dead.any() or dead.all():
+        return I
+    nearest = ndimage.distance_transform_edt(dead, return_distances=False, return_indices=True)
+    return np.where(dead, I[tuple(nearest)], I)
+
+
+class Window:
+    """Gaussian averages over the pixels of a mask, of a ``width`` in samples.
+
+    They are smooth, so sums over squares of a third of the width stand for the pixels. At an
+    edge and beside dead zones the pixels that there are count.
+    """
+
+    def __init__(self, mask: Mask, width: float) -> None:
+        self.mask, self.side = mask.astype(np.float64), max(1, int(width // 3))
+        self.terms = [_terms(n, self.side, width) for n in mask.shape]
+        self.share = np.maximum(self._sum(self.mask), 1e-6)
+
+    def mean(self, f: Array) -> Array:
+        """The average around each pixel, shape (height, width)."""
+        return self._sum(f * self.mask) / self.share
+
+    def _sum(self, f: Array) -> Array:
+        for axis, n in enumerate(f.shape):
+            f = np.add.reduceat(f, np.arange(0, n, self.side), axis=axis)
+        axial, lateral = self.terms
+        J = np.empty(self.mask.shape)
+        kernels.resample(J, np.require(f, np.float64, ["C", "W"]), lateral, axial)
+        return J
+
+
+def _terms(n: int, side: int, width: float) -> kernels.Terms:
+    """Squares around each of n samples, and their weights."""
+    count, reach = -(-n // side), int(np.ceil(4 * width / side))
+    pixel = np.arange(n)[:, None]
+    near = pixel // side + np.arange(-reach, reach + 1)
+    at = near.clip(0, count - 1)
+    centre = (at * side + np.minimum(at * side + side, n) - 1) / 2
+    w = np.where(at == near, np.exp(-0.5 * ((pixel - centre) / width) ** 2), 0.0)
+    return kernels.Terms(at, w)

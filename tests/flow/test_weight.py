@@ -72,10 +72,12 @@ def test_windows_stand_for_a_large_image():
     u = smooth_field(shape, 3.0)
     I1, I2 = speckle(u, count=12000, noise=0.1)
     free, zero = np.ones(shape, dtype=bool), np.zeros((2, *shape))
-    match = ImagePair(Grid(shape), I1, I2, free, True).linearise(u)
+    match = ImagePair(Grid(shape), I1, I2, free, free, True).linearise(u)
     chosen = choose_alpha(match, zero, zero, free, 1.0)
     part = np.s_[:300, :300]
-    match = ImagePair(Grid((300, 300)), I1[part], I2[part], free[part], True).linearise(u[:, *part])
+    match = ImagePair(Grid((300, 300)), I1[part], I2[part], free[part], free[part], True).linearise(
+        u[:, *part]
+    )
     zero = zero[:, *part]
     assert 0.1 < chosen / choose_alpha(match, zero, zero, free[part], 1.0) < 10
 
