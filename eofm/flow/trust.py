@@ -36,7 +36,7 @@ AGREED = 0.75, 0.35
 # What else raises doubts: the share of windows that contradict, the share that agree in a part of
 # the image, the median correlation, the drift of a part in px, the share of pixels that are folded
 # over, and that carry data.
-CONTRADICTED, PARTLY, CORRELATED, DRIFTED, FOLDED, USED = 0.05, 0.5, 0.5, 0.3, 0.005, 0.1
+CONTRADICTED, PARTLY, CORRELATED, DRIFTED, FOLDED, USED = 0.05, 0.5, 0.7, 0.25, 0.005, 0.1
 # Parts of the image across which a drift counts, and windows that tell it.
 PARTS, FEW = 3, 3
 # Differences of images and displacements that are none.

@@ -33,7 +33,7 @@ def test_a_right_field_is_good_whatever_happens_to_the_brightness(moved, rng):
     for image in (I2, 0.3 + 0.2 * I2, I2**2, I2 * (1 - 0.8 * depth) + 0.5 * depth):
         trust = verdict(I1, image, u)
         assert (trust.verdict, trust.reasons) == ("good", ())
-    noise = rng.normal(0, 0.1, SHAPE)
+    noise = rng.normal(0, 0.05, SHAPE)
     assert verdict(I1, I2 + noise, u).verdict == "good"
 
 
