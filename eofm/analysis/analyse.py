@@ -71,6 +71,8 @@ class Analysis:
     ----------
     first, last : ndarray, shape (height, width)
         First and last frame.
+    dead : ndarray of bool, shape (height, width)
+        Pixels of the first frame that carry no data.
     pixel_size : (lateral, axial)
         Sides of a pixel, um.
     u : ndarray, shape (2, height, width)
@@ -89,6 +91,7 @@ class Analysis:
 
     first: Array
     last: Array
+    dead: Mask
     pixel_size: tuple[float, float]
     u: Array
     deviation: Array | None
@@ -225,7 +228,7 @@ def analyse(
     deviation = np.sqrt(variance) if measures.error_bars else None
     if deviation is not None:
         summary["deviation_median_px"] = [float(np.median(d)) for d in deviation]
-    return Analysis(first, last, pixel_size, total, deviation, steps, e, left, share, summary)
+    return Analysis(first, last, dead, pixel_size, total, deviation, steps, e, left, share, summary)
 
 
 def _step(

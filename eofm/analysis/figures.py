@@ -142,17 +142,26 @@ def strains(e: Array, settings: Figures) -> Figure:
     return figure
 
 
-def quality(residual: Array, inconsistency: Array, share: Array, settings: Figures) -> Figure:
-    """What is left after warping, forward-backward inconsistency, and the share of the data."""
+def quality(maps: Mapping[str, Array], settings: Figures) -> Figure:
+    """Four maps by their names.
+
+    What is left after the motion, the forward-backward error in px, the correlation of the
+    images, and the share that they have in the estimate, the last two from 0 to 1.
+    """
+    residual, inconsistency, *_ = maps.values()
     largest = max(float(np.nanpercentile(np.abs(residual), 99)), 1e-6)
     worst = max(float(np.nanpercentile(inconsistency, 99)), 1e-3)
+    looks: list[tuple[str, tuple[float, float], str]] = [
+        ("PuOr", (-largest, largest), ""),
+        ("magma_r", (0, worst), "px"),
+        ("cividis", (0, 1), ""),
+        ("cividis", (0, 1), ""),
+    ]
     with mpl.rc_context(STYLE):
-        figure, axes = _panels(1, 3, share.shape, settings)
-        limits = (-largest, largest)
-        _show(axes[0, 0], residual, "residual $I_2(x + u) - I_1$", "PuOr", limits, "", settings)
-        title = "forward-backward error"
-        _show(axes[0, 1], inconsistency, title, "magma_r", (0, worst), "px", settings)
-        _show(axes[0, 2], share, "data (1) or regulariser (0)", "cividis", (0, 1), "", settings)
+        figure, axes = _panels(2, 2, residual.shape, settings)
+        for axis, (title, values), look in zip(axes.flat, maps.items(), looks, strict=True):
+            colours, limits, unit = look
+            _show(axis, values, title, colours, limits, unit, settings)
         _label(axes)
     return figure
 

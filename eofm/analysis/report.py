@@ -12,7 +12,7 @@ from eofm import io
 from eofm.analysis import figures
 from eofm.analysis.analyse import Analysis
 from eofm.errors import InputError
-from eofm.grid import componentwise
+from eofm.grid import Array, componentwise
 from eofm.settings import Figures, Pair
 
 STRAIN_LABELS = ["e11 lateral", "e22 axial", "e12 shear"]
@@ -30,6 +30,7 @@ RESULTS = (
     "displacement.tif",
     "displacement_um.tif",
     "strain.tif",
+    "trust.tif",
     "bubbles.csv",
     "bubbles.csv.sha256",
     *(f"{name}.{kind}" for name in ("pair", "displacement", "strain", "quality") for kind in KINDS),
@@ -42,6 +43,7 @@ def write_results(results: Analysis, folder: Path, images: Sequence[str] = ()) -
     """Write fields, tables, summary and figures into a folder.
 
     ``displacement.tif`` (px), ``displacement_um.tif``, ``deviation.tif`` (px), ``strain.tif``,
+    ``trust.tif`` (correlation of the images after the motion), all NaN in dead zones,
     ``bubbles.csv``, ``summary.json``, ``provenance.json``, for sequences also
     ``increments.tif``, with an identified sample ``stiffness.tif`` and
     ``stiffness_deviation.tif`` (of log E), and the figures
@@ -86,18 +88,23 @@ def check_results(folder: Path, pair: Pair) -> None:
 def _write_fields(results: Analysis, folder: Path) -> None:
     """Write all fields and the table of bubbles."""
     size = componentwise(results.pixel_size, 2)
-    io.write_field(folder / "displacement.tif", results.u)
-    io.write_field(folder / "displacement_um.tif", results.u * size, "um")
-    io.write_pages(folder / "strain.tif", results.strain, STRAIN_LABELS)
+
+    def seen(values: Array) -> Array:
+        return np.where(results.dead, np.nan, values)
+
+    io.write_field(folder / "displacement.tif", seen(results.u))
+    io.write_field(folder / "displacement_um.tif", seen(results.u * size), "um")
+    io.write_pages(folder / "strain.tif", seen(results.strain), STRAIN_LABELS)
+    io.write_image(folder / "trust.tif", seen(results.trust.map))
     if results.deviation is not None:
-        io.write_field(folder / "deviation.tif", results.deviation)
+        io.write_field(folder / "deviation.tif", seen(results.deviation))
     first = results.steps[0]
     if first.stiffness is not None:
-        io.write_image(folder / "stiffness.tif", first.stiffness.E)
+        io.write_image(folder / "stiffness.tif", seen(first.stiffness.E))
     if first.modulus_deviation is not None:
-        io.write_image(folder / "stiffness_deviation.tif", first.modulus_deviation)
+        io.write_image(folder / "stiffness_deviation.tif", seen(first.modulus_deviation))
     if len(results.steps) > 1:
-        increments = np.concatenate([step.estimate.u for step in results.steps])
+        increments = seen(np.concatenate([step.estimate.u for step in results.steps]))
         labels = [f"step {k}: u{i} [px]" for k in range(len(results.steps)) for i in (1, 2)]
         io.write_pages(folder / "increments.tif", increments, labels)
     tables = [step.bubbles.assign(step=k) for k, step in enumerate(results.steps)]
@@ -105,15 +112,26 @@ def _write_fields(results: Analysis, folder: Path) -> None:
 
 
 def draw(results: Analysis, settings: Figures | None = None) -> dict[str, Figure]:
-    """The figures of a pair; of a sequence, the bubbles and standard flow of its first step."""
+    """The figures of a pair or sequence; of a sequence, the bubbles of its first step."""
     settings = settings or Figures(pixel_size=results.pixel_size)
-    step = results.steps[0]
-    fields = {"standard flow": step.standard, "EOFM": step.estimate.u}
+    step, count, trust = results.steps[0], len(results.steps), results.trust
+    fields = {"standard flow": step.standard, "EOFM": results.u}
+    if count > 1:
+        fields = {f"EOFM, sum of {count} steps": results.u}
+    quality = {
+        "residual $I_2(x + u) - I_1$": results.residual,
+        "forward-backward error": step.inconsistency,
+        f"correlation after the motion: {trust.verdict}": trust.map,
+        "share of the images in the estimate": results.share,
+    }
     drawn = {
         "pair": figures.image_pair(results.first, results.last, settings, step.bubbles),
-        "displacement": figures.compare_fields(fields, settings, step.deviation),
+        "displacement": figures.compare_fields(fields, settings, results.deviation),
         "strain": figures.strains(results.strain, settings),
-        "quality": figures.quality(results.residual, step.inconsistency, results.share, settings),
+        "quality": figures.quality(
+            {name: np.where(results.dead, np.nan, values) for name, values in quality.items()},
+            settings,
+        ),
     }
     if step.stiffness is not None:
         drawn["stiffness"] = figures.moduli(

@@ -320,3 +320,13 @@ def test_a_pair_that_has_nothing_in_common_is_told_in_the_results(rng, tmp_path)
     told = json.loads((tmp_path / "summary.json").read_text())["trust"][0]
     assert told["verdict"] == "failed"
     assert told["reasons"]
+
+
+def test_dead_zones_hold_no_number_in_what_is_written(files, truth):
+    results = analyse(describe(files, mask="10,10 30,10 30,30 10,30"), estimation=QUICK)
+    results.write(files)
+    for name in ("displacement", "displacement_um", "strain", "deviation", "trust"):
+        written = tifffile.imread(files / f"{name}.tif")
+        assert np.isnan(written[..., 20, 20]).all(), name
+        assert np.isfinite(written[..., 40, 40]).all(), name
+    assert np.isfinite(results.u).all()
