@@ -131,11 +131,12 @@ def _explain(error: ValidationError) -> str:
 
 
 class Inclusion(Section):
-    """A circular inclusion."""
+    """An inclusion: a disc or an ellipse along the axes."""
 
     x1: float = Field(ge=-FAR, le=FAR, description="lateral position of the centre, px")
     x2: float = Field(ge=-FAR, le=FAR, description="axial position of the centre (down), px")
-    radius: Positive = Field(description="radius, px")
+    radius: Positive = Field(description="radius, of an ellipse the mean of its logarithms, px")
+    aspect: Positive = Field(1.0, description="lateral over axial radius; 1 is a disc")
     stiffness: Positive = Field(description="Young's modulus relative to the background")
 
 
@@ -186,6 +187,12 @@ class Phantom(Section):
     brightness: Spread = Field((0.15, 0.22), description="range of their peak intensities")
     distance: float = Field(0.0, ge=0, description="least distance of two bubbles, px")
     base: float = Field(0.0, ge=0, le=1, description="intensity between the bubbles")
+    overlap: Literal["sum", "brightest"] = Field(
+        "sum", description="what a pixel shows of several bubbles"
+    )
+    strained: bool = Field(
+        False, description="whether bubbles are strained with the sample, or keep their shape"
+    )
     noise: float = Field(
         0.0, ge=0, description="standard deviation of the noise, relative to the brightest bubble"
     )
