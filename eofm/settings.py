@@ -411,13 +411,21 @@ class Identification(Section):
 
     cell: Positive | None = Field(
         None,
-        description="side of the elements that carry E, px; none: 2.5, or more in large images",
+        description="side of the elements that carry E, px; none: 4, or more in large images",
     )
     gamma: Positive | None = Field(
-        None, description="weight of the total variation; none: chosen on held-out blocks"
+        None, description="weight of the total variation; none: chosen on held-out bubbles"
     )
     gamma_range: Spread = Field((0.01, 30.0), description="weights tried, downwards")
-    clear: float = Field(2.0, ge=0, description="standard errors that make a gain clear")
+    clear: float = Field(
+        0.5, ge=0, description="standard errors that make a lower weight clearly better"
+    )
+    significant: float = Field(
+        2.0, ge=0, description="the same, that make a contrast of the modulus significant"
+    )
+    worse: float = Field(
+        1.0, ge=0, description="the same, by which the preset is better where E is refused"
+    )
     epsilon: Positive = Field(0.02, description="gradient of log E that counts as an edge, 1/px")
     iterations: int = Field(30, ge=1, le=1000, description="largest number of Gauss-Newton steps")
     least_gain: Positive = Field(5.0, description="gain in log-likelihood at which they stop")
