@@ -88,8 +88,8 @@ def choose(
     """Prior whose displacement predicts bubbles that were held out.
 
     The weight falls from the largest by factors of 3, each fit the start of the next, until
-    ``PATIENCE`` of them have brought nothing. Then outlines are relaxed, with the weights
-    times ``SHARPER``. Of the fits that no other is clearly better than, the one with the
+    ``PATIENCE`` of them have brought nothing. Then outlines are relaxed, with the weight
+    times the middle of ``SHARPER`` and, as that is better or not, the first or last. Of the fits that no other is clearly better than, the one with the
     strongest prior is taken (rule of one standard error, Breiman et al., Classification and
     Regression Trees, 1984, between paired bubbles).
 
@@ -115,7 +115,10 @@ def choose(
         if len(tried) - 1 - int(np.argmin(means)) >= PATIENCE:
             break
     found = strongest(tried, settings.clear)
-    sharp = [attempt(Prior(found.prior.gamma, by), found.z) for by in SHARPER]
+    middle = attempt(Prior(found.prior.gamma, SHARPER[1]), found.z)
+    better = middle.losses.mean() < found.losses.mean()
+    other = attempt(Prior(found.prior.gamma, SHARPER[0 if better else 2]), found.z)
+    sharp = sorted([middle, other], key=lambda choice: -choice.prior.sharper)
     found = strongest([*sharp, found], settings.clear)
     if settings.gamma is None and not clearly_better(
         found.losses, none.losses, settings.significant

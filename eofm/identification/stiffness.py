@@ -57,9 +57,9 @@ class Stiffness:
     Attributes
     ----------
     E : ndarray, shape (height, width)
-        Modulus relative to the background's (the median).
+        Modulus relative to the background's (the median); NaN where it is refused.
     elastic : ndarray, shape (2, height, width)
-        Elastic displacement of the identified sample, px.
+        Elastic displacement of the identified sample, px, even if it is refused.
     estimate : Estimate
         Test 6: the displacement estimated with that field as background.
     choice : Choice
@@ -128,7 +128,6 @@ def identify_stiffness(
     estimation: Estimation = Estimation(),
     known: Known = Known(),
     *,
-    outside: tuple[Edge, ...] = (),
     progress: bool = False,
 ) -> Stiffness:
     """Relative modulus of a sample, or of a part of one, and test 6.
@@ -146,18 +145,16 @@ def identify_stiffness(
     known : Known
         Bubbles, dead zones, size of the pixels, and the motion of edges; without any, and
         nothing outside, the top is fixed and the bottom moves up by the sample's compression.
-        Its background is used where there are edges outside.
-    outside : tuple of {"top", "bottom", "left", "right"}
-        Edges beyond which the sample goes on: their motion is sought as well. Those that are
-        neither named here nor known to move are free.
+        The motion of edges outside is sought as well, and so is that of all edges of which
+        nothing is known unless two of them are known to move differently; only then its
+        background is used. Other edges are free.
     progress : bool
         Show a progress bar, if standard error is a terminal.
 
     Raises
     ------
     InputError
-        If the images are not of the sample's size, nothing is outside and fewer than two
-        edges are known to move differently, or the images contradict their motion.
+        If the images are not of the sample's size, or contradict the motion of the edges.
 
     Notes
     -----
@@ -177,18 +174,21 @@ def identify_stiffness(
         bar.update()
         bar.set_postfix_str(f"gamma {gamma:.2g}, step {step}, gain {gain:.3g}")
 
-    if outside:
+    stated = dict(known.edges) or (press(sample) if not known.outside else {})
+    if known.outside or not move_differently(stated):
+        loose: tuple[Edge, ...] = known.outside or tuple(FACES)
+        loose = tuple(edge for edge in loose if edge not in known.edges)
         scale, u_bg = 1.0, known.background
         u_bg = np.zeros((2, *I1.shape)) if u_bg is None else u_bg
         estimate = estimate_displacement(I1, I2, estimation, known)
-        rim = {edge: estimate.u[:, *FACES[edge].pixels()] for edge in outside}
+        rim = {edge: estimate.u[:, *FACES[edge].pixels()] for edge in loose}
         motion = rim | dict(known.edges)
     else:
-        scale, motion, u_bg = _moved(I1, I2, sample, settings, estimation, known)
+        loose = ()
+        scale, motion, u_bg = _moved(I1, I2, sample, settings, estimation, known, stated)
         # A contact that slips leaves the motion along the edge open.
         known = replace(known, edges={} if sample.contact == "slip" else motion)
         estimate = estimate_displacement(I1, I2, estimation, replace(known, background=u_bg))
-    loose = tuple(edge for edge in outside if edge not in known.edges)
     setup = Setup(sample, motion, loose, u_bg, known.pixel_size, settings)
     choice, refused = setup.choose(estimate, report)
     found: Stiffness | None = None
@@ -196,6 +196,7 @@ def identify_stiffness(
         found = setup.identify(estimate, choice, found, report)
         found = replace(found, scale=scale, rounds=rounds, refused=refused)
         if refused:
+            found = replace(found, E=np.full_like(found.E, np.nan))
             break
         last = estimate.u
         estimate = estimate_displacement(
@@ -325,15 +326,9 @@ def _moved(
     settings: Identification,
     estimation: Estimation,
     known: Known,
+    motion: dict[Edge, Array],
 ) -> tuple[float, dict[Edge, Array], Array]:
     """Factor of the edges' motion, that motion, and the homogeneous background."""
-    motion = dict(known.edges) or press(sample)
-    if not move_differently(motion):
-        raise InputError(
-            "stiffness needs two edges that are known to move differently, such as a fixed top"
-            " and a moved bottom, or edges outside of the image: a sample at rest does not show"
-            " its stiffness"
-        )
     u_bg = deform(sample, motion, pixel_size=known.pixel_size, slip=sample.contact == "slip")
     blind = estimation.changed(zero_edges=())
     free = estimate_displacement(I1, I2, blind, replace(known, background=u_bg, edges={}))

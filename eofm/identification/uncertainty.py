@@ -37,7 +37,10 @@ def deviations(found: Stiffness, *, samples: int = 32, seed: int = 0) -> tuple[A
     u : ndarray, shape (2, height, width)
         In px.
     log_E : ndarray, shape (height, width)
+        NaN where E is refused; the displacement's are the estimate's then.
     """
+    if found.refused:
+        return found.estimate.deviation(samples, seed), np.full_like(found.E, np.nan)
     problem, z, rng = found.problem, found.z, np.random.default_rng(seed)
     state, m = problem.state(z), problem.m(z)
     misfit = problem.misfit(state)

@@ -238,8 +238,10 @@ def test_ensemble(project):
     folder = project.root / "results/ensemble"
     table = pd.read_csv(folder / "test6.csv")
     ours, peers = ["test5", "preset_free", "preset", "test6"], ["elastix", "dis", "demons"]
-    columns = ["phantom", "background", *ours, "dice", *peers, "coverage"]
-    assert list(table.columns) == columns
+    kind = ["phantom", "half", "renderer", "noise", "brightness", "inclusions", "cut"]
+    judged = ["verdict", "dice", "modulus_error", "coverage", "coverage_modulus"]
+    assert list(table.columns) == [*kind, "background", *ours, *peers, *judged]
+    assert table.half.tolist() == ["tuned", "reported"]
     assert table.phantom.tolist() == [1, 2]
     assert table[ours].gt(0).all(axis=None)
     assert table[ours].lt(100).all(axis=None)
