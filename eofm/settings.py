@@ -452,7 +452,8 @@ class Measures(Section):
         16, ge=0, le=10_000, description="samples for the standard deviations; 0 leaves them out"
     )
     stiffness: bool = Field(
-        False, description="whether to identify the modulus; better where the image shows the whole sample"
+        False,
+        description="whether to identify the modulus; better where the image shows the whole sample",
     )
 
 

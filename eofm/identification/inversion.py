@@ -92,7 +92,11 @@ class Problem:
         u, m = self.u(state), z[: self.elements]
         fit = (self.data.product(u) * u - 2 * self.data.b * u).sum()
         size = np.sqrt(sum((D @ m) ** 2 for D in self.gradients) + self.epsilon**2)
-        return float(fit + 2 * gamma * self.area * (self.weights * size).sum() + (z[self.elements :] ** 2).sum())
+        return float(
+            fit
+            + 2 * gamma * self.area * (self.weights * size).sum()
+            + (z[self.elements :] ** 2).sum()
+        )
 
     def improve(self, z: Array, state: State, gamma: float, damping: float) -> Array:
         """Damped Gauss-Newton step from ``z``."""

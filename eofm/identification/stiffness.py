@@ -299,9 +299,7 @@ class Setup:
         elastic = whole.u(whole.state(z)) / self.h
         return Stiffness(np.exp(log_E), elastic, estimate, choice, z, whole)
 
-    def first(
-        self, problem: Problem, estimate: Estimate, choice: Choice, report: Report
-    ) -> Array:
+    def first(self, problem: Problem, estimate: Estimate, choice: Choice, report: Report) -> Array:
         """The better of two starts: what a fold found, and what strains suggest."""
         gamma, found = choice.prior.gamma, choice.z[0]
         if gamma >= NONE:

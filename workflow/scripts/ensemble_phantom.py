@@ -80,9 +80,7 @@ def main() -> None:
     # All methods and tools see what is in the files.
     I1, I2 = io.read_pair(out["reference"], out["deformed"])
     fields, known, estimation = estimates(config, phantom, I1, I2)
-    found = eofm.identify_stiffness(
-        I1, I2, phantom.shown, config.identification, estimation, known
-    )
+    found = eofm.identify_stiffness(I1, I2, phantom.shown, config.identification, estimation, known)
     fields["test6"] = found.estimate.u
     none = pd.DataFrame(columns=list(io.BUBBLE_COLUMNS), dtype=float)
     io.write_table(out["bubbles"], none if known.bubbles is None else known.bubbles)
