@@ -453,7 +453,7 @@ class Measures(Section):
     )
     stiffness: bool = Field(
         False,
-        description="whether to identify the modulus; better where the image shows the whole sample",
+        description="whether to identify the modulus; better if the image shows the whole sample",
     )
 
 

@@ -88,10 +88,11 @@ def choose(
     """Prior whose displacement predicts bubbles that were held out.
 
     The weight falls from the largest by factors of 3, each fit the start of the next, until
-    ``PATIENCE`` of them have brought nothing. Then outlines are relaxed, with the weight
-    times the middle of ``SHARPER`` and, as that is better or not, the first or last. Of the fits that no other is clearly better than, the one with the
-    strongest prior is taken (rule of one standard error, Breiman et al., Classification and
-    Regression Trees, 1984, between paired bubbles).
+    ``PATIENCE`` of them have brought nothing. Then outlines are relaxed, with the weight times
+    the middle of ``SHARPER`` and, as that is better or not, the first or last. Of the fits that
+    no other is clearly better than, the one with the strongest prior is taken (rule of one
+    standard error, Breiman et al., Classification and Regression Trees, 1984, between paired
+    bubbles).
 
     Parameters
     ----------

@@ -79,7 +79,7 @@ class Folds:
         label, count = self.cells[used], self.fold.size
 
         def total(f: Array) -> Array:
-            return np.bincount(label, f[used], count)
+            return np.asarray(np.bincount(label, f[used], count), dtype=np.float64)
 
         A11, A12, A22 = (total(g[i] * g[j]) for i, j in ((0, 0), (0, 1), (1, 1)))
         s1, s2 = total(g[0] * r), total(g[1] * r)
