@@ -131,11 +131,12 @@ def _explain(error: ValidationError) -> str:
 
 
 class Inclusion(Section):
-    """A circular inclusion."""
+    """An inclusion: a disc or an ellipse along the axes."""
 
     x1: float = Field(ge=-FAR, le=FAR, description="lateral position of the centre, px")
     x2: float = Field(ge=-FAR, le=FAR, description="axial position of the centre (down), px")
-    radius: Positive = Field(description="radius, px")
+    radius: Positive = Field(description="radius, of an ellipse the mean of its logarithms, px")
+    aspect: Positive = Field(1.0, description="lateral over axial radius; 1 is a disc")
     stiffness: Positive = Field(description="Young's modulus relative to the background")
 
 
@@ -186,6 +187,12 @@ class Phantom(Section):
     brightness: Spread = Field((0.15, 0.22), description="range of their peak intensities")
     distance: float = Field(0.0, ge=0, description="least distance of two bubbles, px")
     base: float = Field(0.0, ge=0, le=1, description="intensity between the bubbles")
+    overlap: Literal["sum", "brightest"] = Field(
+        "sum", description="what a pixel shows of several bubbles"
+    )
+    strained: bool = Field(
+        False, description="whether bubbles are strained with the sample, or keep their shape"
+    )
     noise: float = Field(
         0.0, ge=0, description="standard deviation of the noise, relative to the brightest bubble"
     )
@@ -411,13 +418,21 @@ class Identification(Section):
 
     cell: Positive | None = Field(
         None,
-        description="side of the elements that carry E, px; none: 2.5, or more in large images",
+        description="side of the elements that carry E, px; none: 4, or more in large images",
     )
     gamma: Positive | None = Field(
-        None, description="weight of the total variation; none: chosen on held-out blocks"
+        None, description="weight of the total variation; none: chosen on held-out bubbles"
     )
     gamma_range: Spread = Field((0.01, 30.0), description="weights tried, downwards")
-    clear: float = Field(2.0, ge=0, description="standard errors that make a gain clear")
+    clear: float = Field(
+        0.5, ge=0, description="standard errors that make a lower weight clearly better"
+    )
+    significant: float = Field(
+        2.0, ge=0, description="the same, that make a contrast of the modulus significant"
+    )
+    worse: float = Field(
+        1.0, ge=0, description="the same, by which the preset is better where E is refused"
+    )
     epsilon: Positive = Field(0.02, description="gradient of log E that counts as an edge, 1/px")
     iterations: int = Field(30, ge=1, le=1000, description="largest number of Gauss-Newton steps")
     least_gain: Positive = Field(5.0, description="gain in log-likelihood at which they stop")
@@ -444,7 +459,8 @@ class Measures(Section):
         16, ge=0, le=10_000, description="samples for the standard deviations; 0 leaves them out"
     )
     stiffness: bool = Field(
-        False, description="whether to identify the modulus; wants the whole sample in the image"
+        False,
+        description="whether to identify the modulus; better if the image shows the whole sample",
     )
 
 

@@ -218,8 +218,12 @@ def analyse(
         "share_of_data_median": float(np.median(share)),
     }
     if (found := steps[0].stiffness) is not None:
+        moduli = None if found.refused else [float(found.E.min()), float(found.E.max())]
         summary["stiffness"] = {
-            "modulus_range": [float(found.E.min()), float(found.E.max())],
+            "refused": found.refused or None,
+            "modulus_range": moduli,
+            "contrast_is_significant": found.contrast,
+            "edges_sought": list(found.problem.model.loose),
             "edge_motion_factor": found.scale,
             "gamma": found.gamma,
             "rounds": found.rounds,
@@ -262,7 +266,8 @@ def _step(
             deviation, modulus_deviation = deviations(stiffness, samples=error_bars)
         # What the way there has learnt, the way back knows too.
         edges = {edge: stiffness.scale * g for edge, g in known.edges.items()}
-        known = replace(known, background=stiffness.elastic, edges=edges)
+        u_bg = known.background if stiffness.refused else stiffness.elastic
+        known = replace(known, background=u_bg, edges=edges)
     back = known.backwards(I2.shape)
     again = estimation.changed(alpha=estimate.alpha)
     w = estimate_displacement(I2, I1, again, back, progress=progress).u

@@ -99,9 +99,9 @@ def _write_fields(results: Analysis, folder: Path) -> None:
     if results.deviation is not None:
         io.write_field(folder / "deviation.tif", seen(results.deviation))
     first = results.steps[0]
-    if first.stiffness is not None:
+    if first.stiffness is not None and not first.stiffness.refused:
         io.write_image(folder / "stiffness.tif", seen(first.stiffness.E))
-    if first.modulus_deviation is not None:
+    if first.modulus_deviation is not None and np.isfinite(first.modulus_deviation).all():
         io.write_image(folder / "stiffness_deviation.tif", seen(first.modulus_deviation))
     if len(results.steps) > 1:
         increments = seen(np.concatenate([step.estimate.u for step in results.steps]))
@@ -133,7 +133,7 @@ def draw(results: Analysis, settings: Figures | None = None) -> dict[str, Figure
             settings,
         ),
     }
-    if step.stiffness is not None:
+    if step.stiffness is not None and not step.stiffness.refused:
         drawn["stiffness"] = figures.moduli(
             {"identified": step.stiffness.E}, step.modulus_deviation, settings
         )

@@ -31,7 +31,7 @@ class Scene:
     known : Known
         Dead zones of the first frame, and edges and background of one step.
     sample : Sample
-        Size and materials of the whole sample.
+        Materials of the sample, and its size, as far as the frames show it.
     """
 
     frames: Array
@@ -81,7 +81,8 @@ def read_scene(pair: Pair) -> Scene:
     )
     texts = {edge: getattr(pair, edge) for edge in FACES}
     states = {e: parse_edge(e, text, sample.shape, pair.pixel_size) for e, text in texts.items()}
-    edges = {}
+    edges: dict[Edge, Array] = {}
+    beyond: list[Edge] = []
     for edge, state in states.items():
         outside = place.inside_of(FACES[edge])
         if state.motion is not None and not state.outside:
@@ -90,13 +91,11 @@ def read_scene(pair: Pair) -> Scene:
                     f"{edge}: the sample's extent goes on beyond it; say 'outside {texts[edge]}'"
                 )
             edges[edge] = place.part(FACES[edge], state.motion)
-        if pair.stiffness and (outside or state.outside):
-            raise InputError(
-                "stiffness: wants the whole sample in the region of interest; without it, estimate"
-                " the displacement alone"
-            )
+        if outside or state.outside:
+            beyond.append(edge)
     background = _background(pair, sample, states, place)
-    return Scene(frames, Known(None, background, edges, dead, pair.pixel_size), sample)
+    known = Known(None, background, edges, dead, pair.pixel_size, tuple(beyond))
+    return Scene(frames, known, sample.changed(height=roi[3], width=roi[2]))
 
 
 def _frames(pair: Pair) -> Array:

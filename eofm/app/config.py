@@ -55,25 +55,50 @@ class Benchmark(Section):
     seed: int = Field(1, ge=0, description="seed of the images")
 
 
-class Ensemble(Section):
-    """Random phantoms on which all methods and tools are compared."""
+Renderer = Literal["bubbles", "brightest", "strained", "speckle", "oct"]
 
-    count: int = Field(10, ge=1, description="number of phantoms")
-    two: int = Field(2, ge=0, description="how many of them have two inclusions instead of one")
-    speckle: int = Field(
-        3, ge=0, description="how many are dense speckle with 5 % noise instead of bubbles"
+
+class Ensemble(Section):
+    """Random phantoms on which all methods and tools are compared.
+
+    Choices are dealt like cards: each list goes round until every phantom has one of it, in
+    random order.
+    """
+
+    count: int = Field(40, ge=1, description="number of phantoms; odd ones are for tuning")
+    renderers: tuple[Renderer, ...] = Field(
+        ("bubbles", "brightest", "strained", "speckle", "oct"),
+        min_length=1,
+        description="how images are made, dealt: bubbles that add up, the brightest of them,"
+        " bubbles strained with the sample, dense speckle, virtual OCT",
     )
-    radius: Spread = Field((0.15, 0.3), description="range of the radii, relative to the height")
-    stiffness: Spread = Field((0.2, 12.0), description="range of the moduli, log-uniform")
-    compression: Spread = Field((3.0, 4.0), description="range of the bottom's motion, px")
+    noise: tuple[Annotated[float, Field(ge=0)], ...] = Field(
+        (0.0, 0.01, 0.02, 0.05, 0.1),
+        min_length=1,
+        description="white noise as a part of the images' range, dealt",
+    )
+    inclusions: tuple[Annotated[int, Field(ge=0, le=3)], ...] = Field(
+        (0, 1, 1, 1, 1, 2, 2, 3), min_length=1, description="numbers of inclusions, dealt"
+    )
+    cut: tuple[bool, ...] = Field(
+        (False, False, False, True),
+        min_length=1,
+        description="whether the image is cut out of a sample half as large again, dealt",
+    )
+    brightness: tuple[Annotated[float, Field(ge=0, lt=1)], ...] = Field(
+        (0.0, 0.0, 0.3),
+        min_length=1,
+        description="largest change of brightness between the images, a gain that varies along a"
+        " line, dealt",
+    )
+    radius: Spread = Field((0.12, 0.3), description="range of the radii, relative to the height")
+    aspect: Spread = Field((0.5, 2.0), description="range of the aspect of half the inclusions")
+    stiffness: Spread = Field((0.1, 12.0), description="range of the moduli, log-uniform")
+    compression: Spread = Field(
+        (0.028, 0.037), description="range of the bottom's motion, relative to the height"
+    )
     poisson_ratio: float = Field(0.49, gt=0, lt=0.5, description="Poisson ratio of all materials")
     seed: int = Field(2026, ge=0, description="seed of samples and images")
-
-    @model_validator(mode="after")
-    def _parts(self) -> Self:
-        if max(self.two, self.speckle) > self.count:
-            raise ValueError(f"count: of {self.count} phantoms, more are said to be special")
-        return self
 
 
 class Variant(Section):

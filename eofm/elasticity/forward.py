@@ -156,8 +156,9 @@ def lame(sample: Sample, x: Array) -> tuple[Array, Array]:
     ``2 lambda mu / (lambda + 2 mu)``.
     """
     E = np.ones(x.shape[1:])
-    for disc in sample.inclusions:
-        E[(x[0] - disc.x1) ** 2 + (x[1] - disc.x2) ** 2 < disc.radius**2] = disc.stiffness
+    for part in sample.inclusions:
+        square = (x[0] - part.x1) ** 2 / part.aspect + (x[1] - part.x2) ** 2 * part.aspect
+        E[square < part.radius**2] = part.stiffness
     nu = sample.poisson_ratio
     mu = E / (2 * (1 + nu))
     if sample.plane == "stress":

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.linalg import cho_solve_banded, cholesky_banded
@@ -40,12 +41,15 @@ class Elastic:
         Side of the elements.
     spacing : (h1, h2)
         Lateral and axial distance of the pixels.
+    loose : tuple
+        Those of the edges whose motion is a first guess, which `hats` may change.
     """
 
     sample: Sample
     motion: dict[Edge, Array]
     cell: float = 2.5
     spacing: tuple[float, float] = (1.0, 1.0)
+    loose: tuple[Edge, ...] = ()
 
     @cached_property
     def shape(self) -> tuple[int, int]:
@@ -113,8 +117,46 @@ class Elastic:
                 values[2 * on[part] + i] = along[i, part]
         return fixed, values
 
-    def solve(self, log_E: Array) -> "State":
-        """Displacement for moduli ``exp(log_E)``, shape of `shape`."""
+    def hats(self, distance: float) -> tuple[sp.csc_array, NDArray[np.int64]]:
+        """Motions of the loose edges: continuous and linear between nodes a ``distance`` apart.
+
+        Returns
+        -------
+        H : sparse matrix, shape (degrees of freedom, 2 q)
+            Its columns are the motions along x1, then x2, that are 1 at one of q nodes.
+        nodes : ndarray of int, shape (2, q)
+            Row and column of those nodes.
+        """
+        number, held = self._node_order, np.zeros(self._node_order.shape, dtype=bool)
+        for edge in set(self.motion) - set(self.loose):
+            held[FACES[edge].pixels()] = True
+        values: dict[tuple[int, int], float] = {}
+        for edge in self.loose:
+            on = number[FACES[edge].pixels()]
+            length = self.sides[1 - FACES[edge].component] * (len(on) - 1)
+            knots = np.linspace(0, len(on) - 1, max(2, round(length / distance)) + 1).round()
+            for knot, hat in zip(knots.astype(int), np.eye(len(knots)), strict=True):
+                along = np.interp(np.arange(len(on)), knots, hat)
+                values |= {
+                    (int(on[k]), int(on[knot])): along[k]
+                    for k in np.flatnonzero(along)
+                    if not held.flat[self._rank[on[k]]] and not held.flat[self._rank[on[knot]]]
+                }
+        places = np.array(list(values), dtype=np.int64).reshape(-1, 2)
+        used, column = np.unique(places[:, 1], return_inverse=True)
+        q = len(used)
+        rows = np.concatenate([2 * places[:, 0], 2 * places[:, 0] + 1])
+        entries = np.tile(np.array(list(values.values())), 2)
+        H = sp.csc_array(
+            (entries, (rows, np.concatenate([column, column + q]))), (2 * number.size, 2 * q)
+        )
+        return H, np.stack(np.unravel_index(self._rank[used], number.shape))
+
+    def solve(self, log_E: Array, more: Array | None = None) -> "State":
+        """Displacement for moduli ``exp(log_E)``, shape of `shape`.
+
+        ``more``, of all degrees of freedom, is added to the motion of the edges.
+        """
         E = np.exp(log_E).ravel()
         fixed, values = self.prescribed
         entry, place, shape = self._places
@@ -122,7 +164,7 @@ class Elastic:
         band = np.bincount(place, entries, shape[0] * shape[1]).reshape(shape)
         band[0] += RIDGE * band[0].mean()
         factor = cholesky_banded(band, lower=True, check_finite=False)
-        u = values.copy()
+        u = values.copy() if more is None else values + more
         forces = self.assemble(self.forces(E, u))
         u[~fixed] = cho_solve_banded((factor, True), -forces[~fixed], check_finite=False)
         return State(self, E, factor, u)
@@ -185,6 +227,11 @@ class Elastic:
         return np.arange(rows * columns).reshape(rows, columns)
 
     @cached_property
+    def _rank(self) -> NDArray[np.int64]:
+        """Place of each numbered node in the rows of nodes."""
+        return np.argsort(self._node_order, axis=None)
+
+    @cached_property
     def _interpolation(self) -> list[Array]:
         return [
             make_interp_spline(np.linspace(0, n - 1, k + 1), np.eye(k + 1))(np.arange(n))
@@ -201,18 +248,30 @@ class State:
     factor: Array
     u: Array
 
-    def derivative(self, d: Array) -> Array:
+    def derivative(self, d: Array, more: Array | None = None) -> Array:
         """Change of ``u`` at the pixels for a change ``d`` of log E, to first order.
 
-        ``K du = - sum_e d_e E_e K_e u``.
+        ``K du = - sum_e d_e E_e K_e u``, where the edges' motion changes by ``more``, if given.
         """
-        f = self.model.assemble(-d.reshape(-1, 1) * self._forces)
-        return self.model.to_pixels(self._inverse(f))
+        f = -d.reshape(-1, 1) * self._forces
+        if more is None:
+            return self.model.to_pixels(self._inverse(self.model.assemble(f)))
+        f -= self.model.forces(self.E, more)
+        return self.model.to_pixels(more + self._inverse(self.model.assemble(f)))
 
-    def adjoint(self, f: Array) -> Array:
-        """Adjoint of `derivative` for ``f`` of shape (2, height, width)."""
-        w = self._inverse(self.model.from_pixels(f))
-        return -(self._forces * w[self.model.dofs]).sum(1).reshape(self.model.shape)
+    def adjoint(self, f: Array) -> tuple[Array, Array]:
+        """Adjoint of `derivative` for ``f`` of shape (2, height, width).
+
+        Returns
+        -------
+        d : ndarray, of the shape of the elements
+        more : ndarray
+            Of all degrees of freedom; it means something on the edges alone.
+        """
+        f = self.model.from_pixels(f)
+        w = self._inverse(f)
+        d = -(self._forces * w[self.model.dofs]).sum(1).reshape(self.model.shape)
+        return d, f - self.model.assemble(self.model.forces(self.E, w))
 
     @cached_property
     def _forces(self) -> Array:

@@ -29,6 +29,8 @@ class Known:
         Motion ``g`` of the n pixels of edges, px, eq. (bdc_Dirichlet); n = 1 is constant.
     dead : ndarray of bool, shape (height, width), optional
         Pixels that carry no data, in both images.
+    outside : tuple of {"top", "bottom", "left", "right"}
+        Edges beyond which the sample goes on; only the stiffness asks.
     pixel_size : (lateral, axial)
         Sides of a pixel in any unit. Where they differ, smoothness and sigma are measured
         in true lengths, in units of their geometric mean.
@@ -47,6 +49,7 @@ class Known:
     edges: Mapping[Edge, Array] = field(default_factory=dict)
     dead: Mask | None = None
     pixel_size: tuple[float, float] = (1.0, 1.0)
+    outside: tuple[Edge, ...] = ()
 
     def check(self, I1: Array, I2: Array) -> None:
         """Refuse what does not fit two images.

@@ -1,13 +1,12 @@
-"""The functional of the identification on elements, its minimiser, and the choice of its weight."""
+"""The functional of the identification on elements, and its minimiser."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
-from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_banded
 from scipy.sparse.linalg import LinearOperator, cg
 
 from eofm.elasticity.sensitivity import Elastic, State
@@ -20,10 +19,8 @@ LARGEST = np.log(30)
 # Part of the prior's mean diagonal that pulls log E to 0: stiffness has no absolute scale
 # where all motions are prescribed.
 ANCHOR = 1e-6
-STEP = 3.0
-# Gain below which fits that are only compared stop, in units of ``least_gain``: they rank weights
-# long before they have converged.
-COMPARED = 10.0
+# Slope of log E at which an outline has half of the prior's weight, 1/px.
+SLOPE = 0.01
 
 # Called after each Gauss-Newton step with gamma, the number of the step and its gain.
 Report = Callable[[float, int, float], object]
@@ -31,67 +28,140 @@ Report = Callable[[float, int, float], object]
 
 @dataclass(frozen=True)
 class Problem:
-    """The linearised images and the forward model."""
+    """The linearised images and the forward model.
+
+    What is sought is a vector ``z``: m of each element, then the motion of the loose edges at
+    nodes, as a multiple of what it may be off by.
+
+    Attributes
+    ----------
+    model : Elastic
+    correction : ndarray, shape (2, height, width)
+        What is added to the model's displacement.
+    data : Pointwise
+        The images' term, in units of the variance of their noise.
+    epsilon : float
+    edges : sparse matrix, shape (degrees of freedom, unknowns of the edges)
+        Motions of the nodes, one standard deviation each.
+    weights : ndarray, shape (elements,), or 1
+        Of the total variation in each element.
+    """
 
     model: Elastic
     correction: Array
     data: Pointwise
     epsilon: float
+    edges: sp.csc_array
+    weights: Array | float = 1.0
 
-    def state(self, m: Array) -> State:
-        """Elastic state of ``m``."""
-        return self.model.solve(LARGEST * np.tanh(m / LARGEST))
+    def relaxed(self, z: Array) -> "Problem":
+        """Return the same with less weight of the prior where ``z`` has outlines.
+
+        Total variation takes off the contrast of what it outlines. Weights ``1 / (1 + |grad m|
+        / SLOPE)`` do so less, and a few rounds of them approach a prior that counts outlines
+        and not their height (Candes, Wakin and Boyd, J. Fourier Anal. Appl. 14, 2008).
+        """
+        m = z[: self.elements]
+        slopes = np.sqrt(sum((D @ m) ** 2 for D in self.gradients))
+        return replace(self, weights=1 / (1 + slopes / SLOPE))
+
+    @property
+    def elements(self) -> int:
+        """Number of elements."""
+        return self.model.shape[0] * self.model.shape[1]
+
+    def m(self, z: Array) -> Array:
+        """The part of ``z`` that belongs to elements, in their shape."""
+        return z[: self.elements].reshape(self.model.shape)
+
+    def start(self, m: Array | float = 0.0) -> Array:
+        """``z`` of a modulus whose edges move as first guessed."""
+        return np.r_[np.broadcast_to(m, self.model.shape).ravel(), np.zeros(self.edges.shape[1])]
+
+    def state(self, z: Array) -> State:
+        """Elastic state of ``z``."""
+        more = self.edges @ z[self.elements :] if self.edges.shape[1] else None
+        return self.model.solve(LARGEST * np.tanh(self.m(z) / LARGEST), more)
 
     def u(self, state: State) -> Array:
         """Its displacement; the error of the mesh for E = 1 is taken off, px."""
         return self.model.to_pixels(state.u) + self.correction
 
-    def cost(self, m: Array, state: State, gamma: float) -> float:
+    def cost(self, z: Array, state: State, gamma: float) -> float:
         """Value of the functional, bar a constant."""
-        u = self.u(state)
+        u, m = self.u(state), z[: self.elements]
         fit = (self.data.product(u) * u - 2 * self.data.b * u).sum()
-        size = np.sqrt(sum((D @ m.ravel()) ** 2 for D in self.gradients) + self.epsilon**2)
-        return float(fit + 2 * gamma * self.area * size.sum())
+        size = np.sqrt(sum((D @ m) ** 2 for D in self.gradients) + self.epsilon**2)
+        return float(
+            fit
+            + 2 * gamma * self.area * (self.weights * size).sum()
+            + (z[self.elements :] ** 2).sum()
+        )
 
-    def improve(self, m: Array, state: State, gamma: float, damping: float) -> Array:
-        """Damped Gauss-Newton step from ``m``."""
-        prior = gamma * self.prior(m)
-        right = self.back(m, state, self.misfit(state)) - prior @ m.ravel()
-        return self.solver(m, state, prior + damping * sp.eye_array(m.size))(right)
+    def improve(self, z: Array, state: State, gamma: float, damping: float) -> Array:
+        """Damped Gauss-Newton step from ``z``."""
+        prior = gamma * self.prior(self.m(z))
+        right = self.back(z, state, self.misfit(state))
+        right[: self.elements] -= prior @ z[: self.elements]
+        right[self.elements :] -= z[self.elements :]
+        return self.solver(z, state, prior + damping * sp.eye_array(self.elements))(right)
 
     def misfit(self, state: State) -> Array:
         """Half the negative slope of the data term in u, shape (2, height, width)."""
         return self.data.b - self.data.product(self.u(state))
 
-    def back(self, m: Array, state: State, f: Array) -> Array:
-        """Adjoint of the derivative of u by ``m``, flattened."""
-        return (slope(m) * state.adjoint(f)).ravel()
+    def forth(self, z: Array, state: State, d: Array) -> Array:
+        """Change of u at the pixels for a change ``d`` of ``z``."""
+        more = self.edges @ d[self.elements :] if self.edges.shape[1] else None
+        return state.derivative(slope(self.m(z)) * self.m(d), more)
 
-    def solver(self, m: Array, state: State, prior: sp.csr_array) -> Callable[[Array], Array]:
-        """Solve the Gauss-Newton system, for a matrix of the prior with its damping.
+    def back(self, z: Array, state: State, f: Array) -> Array:
+        """Adjoint of `forth`."""
+        d, more = state.adjoint(f)
+        return np.r_[(slope(self.m(z)) * d).ravel(), self.edges.T @ more]
 
-        By conjugate gradients, with the inverse of that matrix as preconditioner.
+    def solver(self, z: Array, state: State, prior: sp.csr_array) -> Callable[[Array], Array]:
+        """Solve the Gauss-Newton system, for a matrix of the prior of m with its damping.
+
+        By conjugate gradients. The preconditioner is the inverse of that matrix and, for the
+        edges, of their own block.
         """
         factor = cholesky_banded(_band(prior), lower=True, check_finite=False), True
-        shape = (m.size, m.size)
+        own = cho_factor(self._edge_block, lower=True) if self.edges.shape[1] else None
 
         def hessian(d: Array) -> Array:
-            du = state.derivative(slope(m) * d.reshape(m.shape))
-            return self.back(m, state, self.data.product(du)) + prior @ d
+            total = self.back(z, state, self.data.product(self.forth(z, state, d)))
+            total[: self.elements] += prior @ d[: self.elements]
+            total[self.elements :] += d[self.elements :]
+            return total
 
-        A = LinearOperator(shape, hessian)
-        M = LinearOperator(shape, lambda r: cho_solve_banded(factor, r, check_finite=False))
+        def rough(r: Array) -> Array:
+            m = cho_solve_banded(factor, r[: self.elements], check_finite=False)
+            return m if own is None else np.r_[m, cho_solve(own, r[self.elements :])]
+
+        shape = (z.size, z.size)
+        A, M = LinearOperator(shape, hessian), LinearOperator(shape, rough)
 
         def solve(right: Array) -> Array:
-            return cg(A, right, M=M, rtol=1e-2, maxiter=60)[0].reshape(m.shape)
+            return cg(A, right, M=M, rtol=1e-2, maxiter=60)[0]
 
         return solve
+
+    @cached_property
+    def _edge_block(self) -> Array:
+        """Hessian of the edges' motion in a homogeneous sample."""
+        count = self.edges.shape[1]
+        state, none = self.model.solve(np.zeros(self.model.shape)), np.zeros(self.model.shape)
+        columns = (self.edges[:, [k]].toarray().ravel() for k in range(count))
+        J = np.stack([state.derivative(none, column) for column in columns])
+        A = np.stack([self.data.product(u) for u in J])
+        return J.reshape(count, -1) @ A.reshape(count, -1).T + np.eye(count)
 
     def prior(self, m: Array) -> sp.csr_array:
         """Matrix of ``int |grad d|^2 / sqrt(|grad m|^2 + epsilon^2)`` for d on the elements."""
         D1, D2 = self.gradients
         size = np.sqrt((D1 @ m.ravel()) ** 2 + (D2 @ m.ravel()) ** 2 + self.epsilon**2)
-        W = sp.diags_array(self.area / size)
+        W = sp.diags_array(self.weights * self.area / size)
         R = D1.T @ W @ D1 + D2.T @ W @ D2
         return R + ANCHOR * R.diagonal().mean() * sp.eye_array(m.size)
 
@@ -112,72 +182,28 @@ class Problem:
 
 
 def gauss_newton(
-    problem: Problem, m: Array, gamma: float, settings: Identification, report: Report
+    problem: Problem, z: Array, gamma: float, settings: Identification, report: Report
 ) -> Array:
-    """Minimiser for one weight, started from ``m``.
+    """Minimiser for one weight, started from ``z``.
 
     Levenberg's damping falls with every step that improves and grows with every other:
     where E is extreme, the images hardly change with it, and plain steps overshoot.
     """
-    state = problem.state(m)
-    cost = problem.cost(m, state, gamma)
+    state = problem.state(z)
+    cost = problem.cost(z, state, gamma)
     damping = settings.damping
     for step in range(settings.iterations):
-        trial = m + problem.improve(m, state, gamma, damping)
+        trial = z + problem.improve(z, state, gamma, damping)
         trial_state = problem.state(trial)
         gain = cost - problem.cost(trial, trial_state, gamma)
         report(gamma, step + 1, gain)
         if gain <= 0:
             damping *= 8
             continue
-        m, state, cost, damping = trial, trial_state, cost - gain, damping / 4
+        z, state, cost, damping = trial, trial_state, cost - gain, damping / 4
         if gain < settings.least_gain:
             break
-    return m
-
-
-def choose_gamma(
-    problem: Callable[[NDArray[np.bool_]], Problem],
-    losses: Callable[[Array, NDArray[np.bool_]], Array],
-    folds: Sequence[NDArray[np.bool_]],
-    settings: Identification,
-    report: Report,
-) -> float:
-    """Largest weight whose successor is not clearly better.
-
-    A third of the weight counts as better where the mean misfit of held-out blocks falls by
-    more than ``clear`` standard errors of the difference (as in the rule of one standard
-    error, Breiman et al., Classification and Regression Trees, 1984, but between paired
-    blocks); otherwise the stronger prior is kept. Fits for this stop at ten times the least gain.
-
-    Parameters
-    ----------
-    problem : callable
-        ``problem(mask)`` is the one that sees the pixels of a mask.
-    losses : callable
-        ``losses(u, mask)`` holds the misfit of each block of a mask.
-    folds : sequence of masks
-        The pixels held out in turn.
-    """
-    low, gamma = settings.gamma_range
-    rough = settings.changed(least_gain=COMPARED * settings.least_gain)
-    parts = [problem(~out) for out in folds]
-    m = [np.zeros(part.model.shape) for part in parts]
-
-    def fit(gamma: float) -> Array:
-        for k, part in enumerate(parts):
-            m[k] = gauss_newton(part, m[k], gamma, rough, report)
-        fields = (part.u(part.state(m_k)) for part, m_k in zip(parts, m, strict=True))
-        return np.concatenate([losses(u, out) for u, out in zip(fields, folds, strict=True)])
-
-    loss = fit(gamma)
-    while gamma / STEP >= low:
-        trial = fit(gamma / STEP)
-        gains = loss - trial
-        if gains.mean() <= settings.clear * gains.std() / np.sqrt(gains.size):
-            break
-        gamma, loss = gamma / STEP, trial
-    return gamma
+    return z
 
 
 def slope(m: Array) -> Array:

@@ -11,13 +11,12 @@ That estimate and the search take turns: the identified sample's displacement is
 background field of the next estimate, until the field settles.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import TYPE_CHECKING
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+import scipy.sparse as sp
 from tqdm import tqdm
 
 from eofm.elasticity.forward import deform, press
@@ -26,26 +25,29 @@ from eofm.errors import InputError
 from eofm.flow.estimate import Estimate, estimate_displacement
 from eofm.flow.functional import Pointwise
 from eofm.flow.known import Known
-from eofm.flow.matching import held_out
-from eofm.grid import FACES, Array, Edge, componentwise, unit_spacing
-from eofm.identification.inversion import LARGEST, Problem, Report, choose_gamma, gauss_newton
+from eofm.grid import FACES, Array, Edge, Mask, componentwise, unit_spacing
+from eofm.identification.choice import NONE, Choice, choose, clearly_better
+from eofm.identification.folds import Folds
+from eofm.identification.inversion import LARGEST, Problem, Report, gauss_newton
+from eofm.imaging.gaussian import blur
+from eofm.imaging.splines import gradient, resize
 from eofm.settings import Estimation, Identification, Sample
 from eofm.threads import serial
 
-if TYPE_CHECKING:
-    pass
-
-
 # Contradictions smaller than this are none, px.
 UNCERTAIN = 0.5
-# Least and largest side of the blocks that are held out to choose gamma, px, and their number
-# where the image has room. Large ones hold whole bubbles: what half of a bubble gets wrong, as
-# it moves without being strained, its other half does too.
-BLOCK, BLOCKS = (8, 16), 50
 # Elements at most, where their size is left open: their matrix is factorised many times.
 ELEMENTS = 6400
 # Smallest side of an element then, px.
-SMALLEST = 2.5
+SMALLEST = 4.0
+# Distance of the nodes between which an edge of unknown motion moves linearly, px, and what it
+# may be off by: some deviations of the estimate, and px.
+HATS = 7.0
+DOUBT, UNKNOWN = 2.0, 0.02
+EDGE_SAMPLES = 8
+# Largest contrast of a first guess.
+STRONGEST = 8.0
+TINY = np.finfo(np.float64).tiny
 
 
 @dataclass(frozen=True)
@@ -55,44 +57,64 @@ class Stiffness:
     Attributes
     ----------
     E : ndarray, shape (height, width)
-        Modulus relative to the background's (the median).
+        Modulus relative to the background's (the median); NaN where it is refused.
     elastic : ndarray, shape (2, height, width)
-        Elastic displacement of the identified sample, px.
+        Elastic displacement of the identified sample, px, even if it is refused.
     estimate : Estimate
         Test 6: the displacement estimated with that field as background.
+    choice : Choice
+        What held-out bubbles say.
+    z : ndarray
+        What was sought.
+    problem : Problem
+        What it minimises, for error bars, see `eofm.identification.uncertainty`.
     scale : float
         Factor of the stated motion of the edges that the images ask for; 1 where they do
         not contradict it.
-    gamma : float
-        Weight of the total variation.
-    m : ndarray
-        What was sought, one value per element.
-    problem : Problem
-        What it minimises, for error bars, see `eofm.identification.uncertainty`.
     rounds : int
         How often identification and estimate took turns.
     change : float
         Relative change of the displacement in the last round.
+    refused : str
+        Why E is not to be trusted and ``estimate`` is the preset's; empty where it is.
     """
 
     E: Array
     elastic: Array
     estimate: Estimate
-    scale: float
-    gamma: float
-    m: Array
+    choice: Choice
+    z: Array
     problem: Problem
+    scale: float = 1.0
     rounds: int = 0
     change: float = np.inf
+    refused: str = ""
+
+    @property
+    def gamma(self) -> float:
+        """Weight of the total variation."""
+        return self.choice.prior.weight
+
+    @property
+    def contrast(self) -> bool:
+        """Whether a contrast of the modulus is significant."""
+        return self.gamma < NONE
 
     def summary(self) -> str:
         """What came out and why it stopped, in a line."""
+        if self.refused:
+            return f"E is refused: {self.refused}; the displacement is the preset's"
         scaled = (
             "" if self.scale == 1 else f"; edges moved by {self.scale:.3f} times of what was said"
         )
-        return (
+        found = (
             f"E from {self.E.min():.2g} to {self.E.max():.2g} of the background's; gamma"
-            f" {self.gamma:.2g}; {self.rounds} rounds, the last of which changed u by"
+            f" {self.gamma:.2g}"
+            if self.contrast
+            else "no significant contrast of E"
+        )
+        return (
+            f"{found}; {self.rounds} rounds, the last of which changed u by"
             f" {100 * self.change:.2g} %{scaled}"
         )
 
@@ -108,66 +130,80 @@ def identify_stiffness(
     *,
     progress: bool = False,
 ) -> Stiffness:
-    """Relative modulus of a sample whose edges move in a known way, and test 6.
+    """Relative modulus of a sample, or of a part of one, and test 6.
 
     Parameters
     ----------
     I1, I2 : ndarray, shape (height, width)
-        Images of the whole sample before and after compression.
+        Images of the whole sample, or of a part of it, before and after compression.
     sample : Sample
-        Size, Poisson ratio, contact and motion of the bottom; its inclusions are not used.
+        Size of what the images show, Poisson ratio, contact and motion of the bottom; its
+        inclusions are not used.
     settings : Identification
     estimation : Estimation
         How the displacement is estimated.
     known : Known
-        Bubbles, dead zones, size of the pixels, and the motion of edges; without any, the top
-        is fixed and the bottom moves up by the sample's compression. Its background is not used.
+        Bubbles, dead zones, size of the pixels, and the motion of edges; without any, and
+        nothing outside, the top is fixed and the bottom moves up by the sample's compression.
+        The motion of edges outside is sought as well, and so is that of all edges of which
+        nothing is known unless two of them are known to move differently; only then its
+        background is used. Other edges are free.
     progress : bool
         Show a progress bar, if standard error is a terminal.
 
     Raises
     ------
     InputError
-        If the images are not of the sample's size, fewer than two edges are known to move
-        differently, or the images contradict their motion.
+        If the images are not of the sample's size, or contradict the motion of the edges.
 
     Notes
     -----
     Where the images contradict the stated motion of the edges by more than
     ``settings.trust``, all of it is multiplied by the factor for which they ask.
 
-    The weight gamma is divided by 3 until that no longer clearly lowers the misfit on
-    held-out pixels, see `choose_gamma`; each fit is the start of the next.
+    The weight gamma and the start are chosen on bubbles held out, see `choose`. They also
+    decide whether a contrast is significant; and where the field that they find predicts
+    them worse than the preset, that one's is returned, with the reason.
     """
-    motion = dict(known.edges) or press(sample)
-    pixel_size = known.pixel_size
-    _check(I1, I2, sample, motion)
+    _check(I1, I2, sample)
     if estimation.ends == "half":
         raise InputError("ends: the stiffness wants an estimate that ends at 'full' resolution")
-    slip = sample.contact == "slip"
-    u_bg = deform(sample, motion, pixel_size=pixel_size, slip=slip)
     bar = tqdm(desc="stiffness", unit="step", disable=None if progress else True)
 
     def report(gamma: float, step: int, gain: float) -> None:
         bar.update()
         bar.set_postfix_str(f"gamma {gamma:.2g}, step {step}, gain {gain:.3g}")
 
-    blind = estimation.changed(zero_edges=())
-    free = estimate_displacement(I1, I2, blind, replace(known, background=u_bg, edges={}))
-    scale = _scale(free, u_bg, motion, settings)
-    motion, u_bg = {edge: scale * g for edge, g in motion.items()}, scale * u_bg
-    # A contact that slips leaves the motion along the edge open.
-    known = replace(known, edges={} if slip else motion)
-    estimate = estimate_displacement(I1, I2, estimation, replace(known, background=u_bg))
+    stated = dict(known.edges) or (press(sample) if not known.outside else {})
+    if known.outside or not move_differently(stated):
+        loose: tuple[Edge, ...] = known.outside or tuple(FACES)
+        loose = tuple(edge for edge in loose if edge not in known.edges)
+        scale, u_bg = 1.0, known.background
+        u_bg = np.zeros((2, *I1.shape)) if u_bg is None else u_bg
+        estimate = estimate_displacement(I1, I2, estimation, known)
+        rim = {edge: estimate.u[:, *FACES[edge].pixels()] for edge in loose}
+        motion = rim | dict(known.edges)
+    else:
+        loose = ()
+        scale, motion, u_bg = _moved(I1, I2, sample, settings, estimation, known, stated)
+        # A contact that slips leaves the motion along the edge open.
+        known = replace(known, edges={} if sample.contact == "slip" else motion)
+        estimate = estimate_displacement(I1, I2, estimation, replace(known, background=u_bg))
+    setup = Setup(sample, motion, loose, u_bg, known.pixel_size, settings)
+    choice, refused = setup.choose(estimate, report)
     found: Stiffness | None = None
     for rounds in range(1, settings.rounds + 1):
-        found = _identify(sample, motion, u_bg, estimate, settings, pixel_size, found, report)
+        found = setup.identify(estimate, choice, found, report)
+        found = replace(found, scale=scale, rounds=rounds, refused=refused)
+        if refused:
+            found = replace(found, E=np.full_like(found.E, np.nan))
+            break
         last = estimate.u
         estimate = estimate_displacement(
             I1, I2, estimation, replace(known, background=found.elastic)
         )
         change = float(np.linalg.norm(estimate.u - last) / np.linalg.norm(last))
-        found = replace(found, estimate=estimate, scale=scale, rounds=rounds, change=change)
+        found = replace(found, estimate=estimate, change=change)
         if change <= settings.settled:
             break
     bar.close()
@@ -175,60 +211,142 @@ def identify_stiffness(
     return found
 
 
-def _identify(
+@dataclass(frozen=True)
+class Setup:
+    """What all rounds of an identification share.
+
+    Attributes
+    ----------
+    sample : Sample
+    motion : dict of ndarray, shape (2, n)
+        Motion of edges, px; a first guess of those that are ``loose``.
+    loose : tuple
+    u_bg : ndarray, shape (2, height, width)
+        Background of the estimate that knows no stiffness, px.
+    pixel_size : (lateral, axial)
+    settings : Identification
+    """
+
+    sample: Sample
+    motion: dict[Edge, Array]
+    loose: tuple[Edge, ...]
+    u_bg: Array
+    pixel_size: tuple[float, float]
+    settings: Identification
+
+    @cached_property
+    def h(self) -> Array:
+        """Sides of a pixel, shape (2, 1, 1)."""
+        return componentwise(unit_spacing(self.pixel_size), 2)
+
+    @cached_property
+    def model(self) -> Elastic:
+        """The forward model, with the motion of edges in true lengths."""
+        sides = np.array(self.sample.shape) - 1
+        cell = self.settings.cell or max(SMALLEST, np.sqrt(np.prod(sides) / ELEMENTS))
+        motion = {edge: self.h[..., 0] * g for edge, g in self.motion.items()}
+        spacing = unit_spacing(self.pixel_size)
+        return Elastic(self.sample, motion, cell, spacing, self.loose)
+
+    def problems(self, estimate: Estimate, masks: Sequence[Mask]) -> list[Problem]:
+        """One for each mask of pixels that are seen."""
+        model, match = self.model, estimate.match
+        correction = np.zeros_like(self.u_bg)
+        if not self.loose:
+            # What the mesh gets wrong where E = 1.
+            plain = model.to_pixels(model.solve(np.zeros(model.shape)).u)
+            correction = self.h * self.u_bg - plain
+        hats, nodes = model.hats(HATS)
+        if self.loose:
+            sides = zip(nodes, self.sample.shape, model.shape, strict=True)
+            i, j = (np.round(k * (n - 1) / e).astype(int) for k, n, e in sides)
+            doubt = self.h * (DOUBT * estimate.deviation(EDGE_SAMPLES) + UNKNOWN)
+            hats = (hats @ sp.diags_array(doubt[:, i, j].ravel())).tocsc()
+        problems = []
+        for mask in masks:
+            data = match.density(np.zeros_like(self.u_bg), mask)
+            scaled = Pointwise(data.A / match.noise**2, data.b / match.noise**2)
+            problems.append(Problem(model, correction, scaled, self.settings.epsilon, hats))
+        return problems
+
+    def choose(self, estimate: Estimate, report: Report) -> tuple[Choice, str]:
+        """What held-out bubbles say, and why E is refused, if it is."""
+        folds, settings = Folds(estimate.match), self.settings
+        parts = self.problems(estimate, [~out for out in folds.masks])
+        choice = choose(parts, folds, settings, report)
+        preset = folds.losses(folds.without_elasticity(estimate, self.h * self.u_bg))
+        if not clearly_better(preset, choice.losses, settings.worse):
+            return choice, ""
+        return choice, (
+            "the identified sample predicts bubbles that were held out worse than the preset"
+            f" (misfit {choice.losses.mean():.3g} against {preset.mean():.3g})"
+        )
+
+    def identify(
+        self, estimate: Estimate, choice: Choice, previous: "Stiffness | None", report: Report
+    ) -> "Stiffness":
+        """The sample that fits the images, linearised about an estimate."""
+        everything, prior = np.ones(self.sample.shape, dtype=bool), choice.prior
+        whole = self.problems(estimate, [everything])[0]
+        if previous is None:
+            start = self.first(whole, estimate, choice, report)
+            whole, z = prior.fit(whole, start, self.settings, report)
+        else:
+            whole = replace(whole, weights=previous.problem.weights)
+            z = gauss_newton(whole, previous.z, prior.weight, self.settings, report)
+        log_E = LARGEST * np.tanh(whole.m(z) / LARGEST)
+        log_E = whole.model.elements_to_pixels(log_E - np.median(log_E))
+        elastic = whole.u(whole.state(z)) / self.h
+        return Stiffness(np.exp(log_E), elastic, estimate, choice, z, whole)
+
+    def first(self, problem: Problem, estimate: Estimate, choice: Choice, report: Report) -> Array:
+        """The better of two starts: what a fold found, and what strains suggest."""
+        gamma, found = choice.prior.gamma, choice.z[0]
+        if gamma >= NONE:
+            return found
+        starts = [found, problem.start(softness(estimate.u, problem.model))]
+        fits = [gauss_newton(problem, z, gamma, self.settings, report) for z in starts]
+        return min(fits, key=lambda z: problem.cost(z, problem.state(z), gamma))
+
+
+def softness(u: Array, model: Elastic) -> Array:
+    """A first guess of m: less the logarithm of the axial strain, smoothed, of elements."""
+    strain = np.abs(gradient(resize(u[1], model.shape))[1])
+    strain = blur(strain, 1.0)
+    middle = float(np.median(strain))
+    return -np.log(np.clip(strain / max(middle, TINY), 1 / STRONGEST, STRONGEST))
+
+
+def _moved(
+    I1: Array,
+    I2: Array,
     sample: Sample,
-    motion: dict[Edge, Array],
-    u_bg: Array,
-    estimate: Estimate,
     settings: Identification,
-    pixel_size: tuple[float, float],
-    previous: Stiffness | None,
-    report: Report,
-) -> Stiffness:
-    """The sample that fits the images, linearised about an estimate."""
-    spacing = unit_spacing(pixel_size)
-    h = componentwise(spacing, 2)
-    match = estimate.match
-    cell = settings.cell or max(SMALLEST, np.sqrt(match.r.size / ELEMENTS))
-    true_lengths = {edge: h[..., 0] * g for edge, g in motion.items()}
-    model = Elastic(sample, true_lengths, cell, spacing)
-    # What the mesh gets wrong where E = 1.
-    correction = h * u_bg - model.to_pixels(model.solve(np.zeros(model.shape)).u)
-
-    def problem(mask: NDArray[np.bool_]) -> Problem:
-        data = match.density(np.zeros_like(u_bg), mask)
-        scaled = Pointwise(data.A / match.noise**2, data.b / match.noise**2)
-        return Problem(model, correction, scaled, settings.epsilon)
-
-    m, gamma = np.zeros(model.shape), settings.gamma
-    if previous is not None:
-        m, gamma = previous.m, previous.gamma
-    if gamma is None:
-        block = int(np.clip(np.sqrt(match.r.size / BLOCKS), *BLOCK))
-        folds = [held_out(match.grid.shape, fold, block) for fold in range(4)]
-        misfits = partial(match.block_misfits, block=block)
-        gamma = choose_gamma(problem, misfits, folds, settings, report)
-    whole = problem(np.ones(match.used.shape, dtype=bool))
-    m = gauss_newton(whole, m, gamma, settings, report)
-    log_E = LARGEST * np.tanh(m / LARGEST)
-    log_E = model.elements_to_pixels(log_E - np.median(log_E))
-    elastic = whole.u(whole.state(m)) / h
-    return Stiffness(np.exp(log_E), elastic, estimate, 1.0, gamma, m, whole)
+    estimation: Estimation,
+    known: Known,
+    motion: dict[Edge, Array],
+) -> tuple[float, dict[Edge, Array], Array]:
+    """Factor of the edges' motion, that motion, and the homogeneous background."""
+    u_bg = deform(sample, motion, pixel_size=known.pixel_size, slip=sample.contact == "slip")
+    blind = estimation.changed(zero_edges=())
+    free = estimate_displacement(I1, I2, blind, replace(known, background=u_bg, edges={}))
+    scale = _scale(free, u_bg, motion, settings)
+    return scale, {edge: scale * g for edge, g in motion.items()}, scale * u_bg
 
 
-def _check(I1: Array, I2: Array, sample: Sample, motion: dict[Edge, Array]) -> None:
+def move_differently(motion: Mapping[Edge, Array]) -> bool:
+    """Whether two edges at least are known to move, and not alike."""
+    means = np.array([g.mean(1) for g in motion.values()])
+    return len(means) >= 2 and bool(np.ptp(means, axis=0).any())
+
+
+def _check(I1: Array, I2: Array, sample: Sample) -> None:
     for name, I in (("before", I1), ("after", I2)):
         if I.shape != sample.shape:
             raise InputError(
                 f"the image {name} compression has {I.shape[0]} x {I.shape[1]} px but the sample"
                 f" {sample.height} x {sample.width} px; they have to be the same"
             )
-    means = np.array([g.mean(1) for g in motion.values()])
-    if len(means) < 2 or not np.ptp(means, axis=0).any():
-        raise InputError(
-            "stiffness needs two edges that are known to move differently, such as a fixed top"
-            " and a moved bottom: a sample at rest does not show its stiffness"
-        )
 
 
 def _scale(free: Estimate, u_bg: Array, edges: Iterable[Edge], settings: Identification) -> float:

@@ -17,6 +17,8 @@ from eofm.threads import serial
 
 # Keeps the preconditioner regular; small against the prior.
 DAMPING = 1e-2
+# Weight at which a contrast that was not significant might be.
+LARGEST_GAMMA = 30.0
 
 
 @serial
@@ -35,22 +37,28 @@ def deviations(found: Stiffness, *, samples: int = 32, seed: int = 0) -> tuple[A
     u : ndarray, shape (2, height, width)
         In px.
     log_E : ndarray, shape (height, width)
+        NaN where E is refused; the displacement's are the estimate's then.
     """
-    problem, m, rng = found.problem, found.m, np.random.default_rng(seed)
-    state = problem.state(m)
+    if found.refused:
+        return found.estimate.deviation(samples, seed), np.full_like(found.E, np.nan)
+    problem, z, rng = found.problem, found.z, np.random.default_rng(seed)
+    state, m = problem.state(z), problem.m(z)
     misfit = problem.misfit(state)
+    gamma = min(found.gamma, LARGEST_GAMMA)
     D1, D2 = problem.gradients
     size = np.sqrt((D1 @ m.ravel()) ** 2 + (D2 @ m.ravel()) ** 2 + problem.epsilon**2)
-    root = np.sqrt(found.gamma * problem.area / size)
-    prior = found.gamma * problem.prior(m) + DAMPING * sp.eye_array(m.size)
-    solve = problem.solver(m, state, prior)
+    root = np.sqrt(gamma * problem.weights * problem.area / size)
+    prior = gamma * problem.prior(m) + DAMPING * sp.eye_array(m.size)
+    solve = problem.solver(z, state, prior)
     squares_u, squares_E = np.zeros_like(misfit), np.zeros(misfit.shape[1:])
     for _ in range(samples):
-        right = problem.back(m, state, random_signs(misfit.shape[1:], rng) * misfit)
+        right = problem.back(z, state, random_signs(misfit.shape[1:], rng) * misfit)
         z1, z2 = rng.standard_normal((2, m.size))
-        right += D1.T @ (root * z1) + D2.T @ (root * z2)
-        d = slope(m) * solve(right)
-        squares_u = squares_u + state.derivative(d) ** 2
-        squares_E = squares_E + problem.model.elements_to_pixels(d - np.median(d)) ** 2
+        right[: m.size] += D1.T @ (root * z1) + D2.T @ (root * z2)
+        right[m.size :] += rng.standard_normal(z.size - m.size)
+        d = solve(right)
+        squares_u = squares_u + problem.forth(z, state, d) ** 2
+        d_E = slope(m) * problem.m(d)
+        squares_E = squares_E + problem.model.elements_to_pixels(d_E - np.median(d_E)) ** 2
     squares_u /= componentwise(problem.model.spacing, 2) ** 2
     return np.sqrt(squares_u / samples), np.sqrt(squares_E / samples)

@@ -19,6 +19,8 @@ from eofm.settings import Phantom
 
 # Attempts per bubble before a distance is called impossible.
 ATTEMPTS = 1000
+# Where a bubble that is drawn alone ends, standard deviations.
+CUT = 7.0
 
 
 def make_phantom(u: Array, settings: Phantom = Phantom()) -> tuple[Array, Array, pd.DataFrame]:
@@ -29,7 +31,7 @@ def make_phantom(u: Array, settings: Phantom = Phantom()) -> tuple[Array, Array,
     u : ndarray, shape (2, height, width)
         The true displacement, px.
     settings : Phantom
-        Number, size, brightness and distance of the bubbles, noise and seed.
+        Number, size, brightness and distance of the bubbles, how they look, noise and seed.
 
     Returns
     -------
@@ -59,14 +61,56 @@ def make_phantom(u: Array, settings: Phantom = Phantom()) -> tuple[Array, Array,
     sigma = look.uniform(*settings.sigma, settings.count)
     brightness = look.uniform(*settings.brightness, settings.count)
 
-    def image(centres: Array) -> Array:
-        x1, x2 = (np.arange(n, dtype=np.float64) for n in shape[::-1])
-        I = settings.base + gaussians((x1, x2), centres, sigma, brightness[None])[0]
-        return I + noise.normal(0, settings.noise * brightness.max(), shape)
+    def image(centres: Array, strain: Array | None = None) -> Array:
+        if settings.overlap == "sum" and strain is None:
+            axes = [np.arange(n, dtype=np.float64) for n in shape[::-1]]
+            I = gaussians(axes, centres, sigma, brightness[None])[0]
+        else:
+            add = np.add if settings.overlap == "sum" else np.maximum
+            I = _stamped(shape, centres, sigma, brightness, strain, add)
+        return settings.base + I + noise.normal(0, settings.noise * brightness.max(), shape)
 
     columns = {"x1": x[0], "x2": x[1], "u1": motion[0], "u2": motion[1]}
     bubbles = pd.DataFrame(columns | {"sigma": sigma, "brightness": brightness})
-    return image(x), image(x + motion), bubbles
+    return image(x), image(x + motion, _gradient(u, x) if settings.strained else None), bubbles
+
+
+def _gradient(u: Array, x: Array) -> Array:
+    """Derivatives d_j u_i of a field at points, shape (2, 2, M), by central differences."""
+    steps = 0.5 * np.eye(2)[..., None]
+    ends = np.reshape(u.shape[:0:-1], (2, 1)) - 1.0
+    columns = []
+    for step in steps:
+        # The field is known inside of the image alone.
+        far, near = np.clip(x + step, 0, ends), np.clip(x - step, 0, ends)
+        rise = evaluate_field(u, far) - evaluate_field(u, near)
+        columns.append(rise / (far - near).sum(0))
+    return np.stack(columns, axis=1)
+
+
+def _stamped(
+    shape: tuple[int, ...],
+    centres: Array,
+    sigma: Array,
+    brightness: Array,
+    strain: Array | None,
+    add: np.ufunc,
+) -> Array:
+    """Image of bubbles one by one, each deformed by ``1 + grad u`` at its place if given."""
+    I = np.zeros(shape)
+    for k, (c1, c2) in enumerate(centres.T):
+        half = CUT * sigma[k]
+        rows, columns = (
+            slice(max(0, int(np.ceil(c - half))), max(0, min(n, int(c + half) + 1)))
+            for c, n in ((c2, shape[0]), (c1, shape[1]))
+        )
+        x2, x1 = np.mgrid[rows, columns].astype(np.float64)
+        d = np.stack([x1 - c1, x2 - c2])
+        if strain is not None:
+            d = np.einsum("ij,jkl->ikl", np.linalg.inv(np.eye(2) + strain[:, :, k]), d)
+        stamp = brightness[k] * np.exp(-(d**2).sum(0) / (2 * sigma[k] ** 2))
+        I[rows, columns] = add(I[rows, columns], stamp)
+    return I
 
 
 def scatter(shape: tuple[int, ...], count: int, distance: float, rng: np.random.Generator) -> Array:

@@ -287,10 +287,13 @@ def test_a_sample_is_identified_with_the_motion_that_the_images_show(tmp_path):
     assert not (tmp_path / "deviation.tif").exists()
 
 
-def test_stiffness_wants_the_whole_sample(files):
-    edges = {"top": "fixed", "bottom": "outside moved 0 -2.5"}
-    with pytest.raises(eofm.InputError, match="stiffness: wants the whole sample"):
-        read_scene(describe(files, **edges, stiffness=True))
+def test_a_scene_says_where_the_sample_goes_on_and_what_of_it_is_shown(files):
+    part = {"roi": (10, 10, 60, 40), "extent": (10, 0, 80, 61)}
+    scene = read_scene(describe(files, **part, left="outside", stiffness=True))
+    assert set(scene.known.outside) == {"left", "top", "right", "bottom"}
+    assert scene.sample.shape == (40, 60)
+    whole = read_scene(describe(files, bottom="outside moved 0 -2.5"))
+    assert whole.known.outside == ("bottom",)
 
 
 def test_large_motions_that_the_preset_follows_do_not_mislead_the_tracker(rng):

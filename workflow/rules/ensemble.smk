@@ -48,6 +48,7 @@ rule ensemble_phantom:
                 "sample",
                 "forward",
                 "phantom",
+                "virtual_oct",
                 "tracking",
                 "estimation",
                 "preset",

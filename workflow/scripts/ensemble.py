@@ -13,7 +13,9 @@ from eofm.analysis.figures import STYLE, save
 from eofm.settings import Figures
 
 METHODS = ["background", "test5", "preset_free", "preset", "test6", *snakemake.params.tools]
-COLUMNS = [*METHODS[:5], "dice", *METHODS[5:], "coverage"]
+KIND = ["phantom", "half", "renderer", "noise", "brightness", "inclusions", "cut"]
+IDENTIFIED = ["verdict", "dice", "modulus_error", "coverage", "coverage_modulus"]
+COLUMNS = [*KIND, *METHODS, *IDENTIFIED]
 
 
 def draw(table: pd.DataFrame) -> Figure:
@@ -35,9 +37,10 @@ def draw(table: pd.DataFrame) -> Figure:
 
 
 ours, others = (pd.concat(map(pd.read_csv, snakemake.input[name])) for name in ("ours", "others"))
-table = ours.merge(others, on="phantom")[["phantom", *COLUMNS]]
+table = ours.merge(others, on="phantom")[COLUMNS]
 io.write_table(Path(snakemake.output.table), table)
-Path(snakemake.log[0]).write_text(f"medians\n{table[COLUMNS].median().to_string()}\n")
+medians = table.groupby(["half", "cut"]).median(numeric_only=True)
+Path(snakemake.log[0]).write_text(f"medians\n{medians.drop(columns='phantom').T.to_string()}\n")
 save(
     draw(table),
     [Path(snakemake.output.png), Path(snakemake.output.pdf)],
