@@ -17,6 +17,8 @@ import eofm
 from eofm import io
 from eofm.app.cli import main
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def scans(tmp_path_factory):

@@ -61,7 +61,7 @@ def test_a_row_becomes_options_and_files(tmp_path):
         f"--reference={image}#2",
         "--deformed=results/after.tif",
         f"--bottom=outside moved {edge}",
-        *("--roi", "0", "0", "70", "45"),
+        "--roi=0 0 70 45",
     ]
     assert sample_files(mine) == [str(image), "results/after.tif", str(edge)]
     assert set(other) == {"reference", "bottom"}
