@@ -4,7 +4,7 @@ CORES ?= 2
 BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest --numprocesses $(CORES) --dist loadgroup
 
-.PHONY: paper test quick check numbers clean
+.PHONY: paper test quick check fuzz numbers clean
 
 paper: .venv/installed
 	$(BIN)/snakemake --cores $(CORES)
@@ -15,6 +15,10 @@ test: .venv/installed
 # The tests of daily work: without those that take more than some seconds.
 quick: .venv/installed
 	$(PYTEST) -m 'not slow'
+
+# A million damaged files for all readers; a quarter of an hour on two cores.
+fuzz: .venv/installed
+	$(BIN)/python tests/fuzz/fuzz.py --count 1000000 --cores $(CORES)
 
 # What continuous integration checks before the tests.
 check: .venv/installed

@@ -2,4 +2,10 @@
 
 
 class InputError(ValueError):
-    """What is wrong, where, and what to do, in one line for the user."""
+    """What is wrong, where, and what to do, in one line for the user.
+
+    Names that come from files may hold anything; what cannot be printed is said as its code.
+    """
+
+    def __init__(self, text: str = "") -> None:
+        super().__init__("".join(c if c.isprintable() else repr(c)[1:-1] for c in text))

@@ -1,5 +1,6 @@
 """The array of a file of any format, or the variable and page of it that is named."""
 
+import io
 import os
 import struct
 import zipfile
@@ -17,6 +18,10 @@ from eofm.io.tiff import read_tiff
 HDF5 = b"\x89HDF\r\n\x1a\n"
 # An HDF5 file may begin with something else; MATLAB's do, with this many bytes.
 MATLAB_HEAD = 512
+# Names of variables that a message lists, and letters of each: MATLAB allows for so many.
+MOST, LONGEST = 20, 63
+# Bytes that hold the header of a NumPy file.
+LONGEST_HEAD = 1 << 16
 # Readers of headers by the version of the format; the third is for fields with letters.
 HEADERS = {1: np.lib.format.read_array_header_1_0, 2: np.lib.format.read_array_header_2_0}
 
@@ -61,7 +66,7 @@ def read_array(path: Path) -> NDArray:
 def check_is_file(name: str, label: str) -> None:
     """Refuse what is not there, and what is no file: devices may never end."""
     if not os.path.exists(name):
-        raise InputError(f"{name!r}"[1:-1] + ": no such file")
+        raise InputError(f"{name}: no such file")
     if not os.path.isfile(name):
         raise InputError(f"{name}: cannot be read as {label}; it is no regular file")
 
@@ -84,7 +89,9 @@ def _read_png(name: str, part: str) -> NDArray:
         if head[12:16] != b"IHDR" or len(head) < 24:
             raise ValueError("no PNG file")
         check_size(name, struct.unpack(">II", head[16:24]))
-        image = Image.open(file, formats=["PNG"])
+        check_size(name, [os.fstat(file.fileno()).st_size], 1)
+        # Of a file it would make room for as much as a damaged length asks for.
+        image = Image.open(io.BytesIO(head + file.read()), formats=["PNG"])
         return np.asarray(image.convert("RGB") if image.mode == "P" else image)
 
 
@@ -102,10 +109,12 @@ def _read_numpy(name: str, part: str) -> NDArray:
 def _read_npy(file: IO[bytes], name: str, size: int) -> NDArray:
     """An array, once its header fits what is there."""
     file.seek(0)
-    version = np.lib.format.read_magic(file)[0]
+    # From the beginning alone: a damaged length asks for as much memory.
+    head = io.BytesIO(file.read(LONGEST_HEAD))
+    version = np.lib.format.read_magic(head)[0]
     if version not in HEADERS:
         raise ValueError(f"NumPy's format {version} is for tables")
-    shape, _, dtype = HEADERS[version](file)
+    shape, _, dtype = HEADERS[version](head)
     check_size(name, shape, dtype.itemsize)
     if min(shape, default=0) < 0 or dtype.itemsize * np.prod(shape, dtype=float) > size:
         raise ValueError(f"shape {shape} is stated, {size} bytes are there")
@@ -130,7 +139,7 @@ def _read_matlab(name: str, part: str) -> NDArray:
             found = variables(head + file.read())
             numeric = [key for key, variable in found.items() if variable.numeric]
             chosen = part if part in found else _choose(name, numeric, part)
-            array = values(found[chosen], f"{name}#{chosen}")
+            array = values(found[chosen], f"{name}#{chosen[:LONGEST]}")
     # MATLAB keeps pages last.
     return np.moveaxis(array, -1, 0) if array.ndim == 3 else array
 
@@ -141,9 +150,10 @@ def _choose(name: str, names: list[str], part: str) -> str:
         return part
     if len(names) == 1 and not part:
         return names[0]
+    shown = [each[:LONGEST] for each in names[:MOST]] + ["..."] * (len(names) > MOST)
     raise InputError(
-        f"{name}: name a variable, as in {name}#{next(iter(names), 'I')}; it holds"
-        f" {', '.join(names) or 'none'}"
+        f"{name}: name a variable, as in {name}#{next(iter(shown), 'I')}; it holds"
+        f" {', '.join(shown) or 'none'}"
     )
 
 

@@ -1,6 +1,7 @@
 """Tables as CSV, settings as YAML, summaries as JSON."""
 
 import json
+import math
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -57,16 +58,22 @@ def read_columns(path: Path, columns: tuple[str, ...]) -> "pd.DataFrame":
     for name in columns:
         if f"{name}.1" in table:
             raise InputError(f"{path}: has the column {name} twice; delete one")
-        column = pd.to_numeric(table[name], errors="coerce")
-        if column.dtype == bool:
-            column = column.astype(float) * np.nan
-        bad = np.flatnonzero(~np.isfinite(column.astype(float)))
+        column = table[name].map(_number).astype(float)
+        bad = np.flatnonzero(~np.isfinite(column))
         if bad.size:
             raise InputError(
                 f"{path}: {name} in line {bad[0] + 2} is no finite number; mend or delete the line"
             )
-        table[name] = column.astype(float)
+        table[name] = column
     return table
+
+
+def _number(cell: Any) -> float:
+    """The number in a cell, or NaN; truth values are none."""
+    try:
+        return math.nan if isinstance(cell, bool | np.bool_) else float(cell)
+    except (TypeError, ValueError, OverflowError):
+        return math.nan
 
 
 def write_table(path: Path, table: "pd.DataFrame") -> None:

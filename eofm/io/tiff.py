@@ -138,11 +138,13 @@ def _check_strips(name: str, page: Any) -> None:
     Raises
     ------
     ValueError
-        If strips share their bytes, or one holds more than a strip.
+        If strips are not in the file, share their bytes, or one holds more than a strip.
     """
     if page.compression not in COMPRESSIONS:
         raise InputError(f"{name}: is compressed in a way not known here; save it uncompressed")
     places = sorted(zip(page.dataoffsets, page.databytecounts, strict=False))
+    if any(a + n > page.parent.filehandle.size for a, n in places):
+        raise ValueError("a part of the image lies beyond the end of the file")
     if page.compression == NONE:
         return
     if any(a + n > b for (a, n), (b, _) in pairwise(places)):

@@ -14,6 +14,9 @@ from eofm.app.cli import ANALYSIS
 from eofm.errors import InputError
 from eofm.settings import Section
 
+# Letters of a wrong name that a message repeats.
+LONGEST = 60
+
 
 def options(*sections: Section) -> str:
     """Command-line options that state all values of some sections."""
@@ -44,13 +47,13 @@ def read_samples(path: str) -> dict[str, dict[str, str]]:
         if column not in known:
             close = get_close_matches(column, known, 1)
             hint = f"; did you mean {close[0]}?" if close else ""
-            raise InputError(f"{path}: unknown column {column}{hint}")
+            raise InputError(f"{path}: unknown column {column[:LONGEST]}{hint}")
     if "sample" not in table:
         raise InputError(f"{path}: lacks the column sample")
     for name in table["sample"]:
         if not re.fullmatch(r"[\w-][\w.-]*", name):
             raise InputError(
-                f"{path}: sample '{name}': use letters, digits, dots, - and _ in names"
+                f"{path}: sample '{name[:LONGEST]}': use letters, digits, dots, - and _ in names"
             )
         if (table["sample"] == name).sum() > 1:
             raise InputError(f"{path}: sample {name} stands in it twice; rename one")
