@@ -76,9 +76,10 @@ class Choice:
 def clearly_better(a: Array, b: Array, clear: float) -> bool:
     """Whether losses ``a`` are below ``b`` by more than standard errors of the difference.
 
-    Of paired bubbles, not of their means.
+    Of paired bubbles, and of the logarithms of their losses: those of single bubbles that lie
+    far from all others are a hundred times larger than most.
     """
-    gain = b - a
+    gain = np.log1p(b / 2) - np.log1p(a / 2)
     return float(gain.mean()) > clear * float(gain.std()) / np.sqrt(gain.size)
 
 

@@ -115,7 +115,9 @@ def test_a_part_of_a_sample_shows_its_disc():
     assert found.problem.model.loose == tuple(FACES)
     contrast = np.median(found.E[disc]) / np.median(found.E[~disc])
     assert 2.5 < contrast < 8
-    assert relative_errors(found.estimate.u, u[:, *part])["e_rel"] < 2.0
+    alone = estimate_displacement(I1[part], I2[part])
+    errors = [relative_errors(v, u[:, *part])["e_rel"] for v in (found.estimate.u, alone.u)]
+    assert errors[0] < 1.1 * errors[1]
 
 
 def test_where_nothing_is_known_of_edges_their_motion_is_sought():
@@ -123,7 +125,9 @@ def test_where_nothing_is_known_of_edges_their_motion_is_sought():
     top = {"top": np.zeros((2, 1))}
     found = identify_stiffness(I1, I2, PLAIN, known=Known(edges=top))
     assert found.problem.model.loose == ("left", "right", "bottom")
-    assert relative_errors(found.estimate.u, u)["e_rel"] < 2.0
+    alone = estimate_displacement(I1, I2, known=Known(edges=top))
+    errors = [relative_errors(v, u)["e_rel"] for v in (found.estimate.u, alone.u)]
+    assert errors[0] < errors[1]
     assert not found.contrast or np.abs(np.log(found.E)).max() < 0.3
 
 
