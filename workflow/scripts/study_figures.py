@@ -233,7 +233,9 @@ def theory(rows: pd.DataFrame, config: Config) -> Study:
     for axis, (part, (x, y)) in zip(figure.subplots(2, 2).ravel(), labels.items(), strict=True):
         for series, found in rows[rows.part == part].groupby("series", sort=False):
             shown = found[(found.x > 0) & (found.y > 0)]
-            axis.loglog(shown.x, shown.y, "o-", markersize=3, linewidth=1, label=series)
+            # Some lie upon each other.
+            size = 5 - len(axis.lines)
+            axis.loglog(shown.x, shown.y, "o-", markersize=size, linewidth=size / 2, label=series)
             numbers.setdefault(short(part), {})[short(series)] = {
                 "slope": slope(shown),
                 **{f"at{number(a)}": float(b) for a, b in zip(found.x, found.y, strict=True)},
@@ -244,7 +246,7 @@ def theory(rows: pd.DataFrame, config: Config) -> Study:
     numbers["refused"] = {
         f"at{number(x)}": text for x, text in zip(refused.x, refused.refused, strict=True)
     }
-    return rows, figure, numbers
+    return rows.assign(y=rows.y.map("{:.6g}".format)), figure, numbers
 
 
 def slope(rows: pd.DataFrame) -> float:

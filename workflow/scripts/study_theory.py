@@ -129,6 +129,8 @@ def main() -> None:
     }
     rows = [{"part": part} | row for part, found in parts.items() for row in found]
     table = pd.DataFrame(rows).reindex(columns=["part", "series", "x", "y", "refused"])
+    # Over many orders of magnitude, six decimals would not do.
+    table["y"] = table.y.map("{:.6g}".format)
     io.write_table(Path(snakemake.output[0]), table)
     Path(snakemake.log[0]).write_text(f"{len(table)} numbers\n")
 
