@@ -110,7 +110,7 @@ class Studies(Section):
     )
     searches: int = Field(3, ge=1, le=100, description="searches for the phantom, from anywhere")
     evaluations: int = Field(
-        300, ge=10, le=1_000_000, description="phantoms that each of them tries, about"
+        100, ge=10, le=1_000_000, description="phantoms that each of them tries, about"
     )
 
 

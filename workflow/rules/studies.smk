@@ -61,8 +61,6 @@ rule study_fits:
         "benchmarks/studies/fits-{part}.tsv"
     wildcard_constraints:
         part=r"\d+",
-    # Searches take longest, and start first.
-    priority: 1
     resources:
         mem_mb=1000,
     params:

@@ -29,6 +29,6 @@ with Path(snakemake.log[0]).open("w") as log, tqdm(total=evaluations, file=log) 
         bar.update()
         return found
 
-    population = min(30, evaluations // 2)
+    population = min(15, evaluations // 2)
     search(config, score, evaluations=evaluations, population=population, seed=100 + part)
 io.write_table(Path(snakemake.output[0]), pd.DataFrame(rows))
