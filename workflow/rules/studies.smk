@@ -13,7 +13,11 @@ STUDY_TABLES = {
 }
 STUDIED = ["sample", "forward", "phantom", "tracking", "estimation", "tests", "preset"]
 EXPERIMENT = settings.model_dump(include={*STUDIED, "identification"})
-STUDY_PARTS = {name: table["jobs"] for name, table in STUDY_TABLES.items()}
+# Jobs of a minute or so; what is cut short takes less.
+STUDY_PARTS = {
+    name: table["jobs"] if settings.studies.values is None else 1
+    for name, table in STUDY_TABLES.items()
+}
 STUDY_PARTS |= {"fits": settings.studies.searches, "theory": 1}
 
 

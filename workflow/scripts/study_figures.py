@@ -162,6 +162,8 @@ def demands(rows: pd.DataFrame, config: Config) -> Study:
         some = table[table.demand == name].sort_values("value")
         place = np.arange(len(some))
         for method, label in METHODS.items():
+            if method not in some:
+                continue
             axis.plot(place, some[method], "o-", markersize=3, linewidth=1, label=label)
             numbers.setdefault(short(name), {})[f"method{method}"] = {
                 f"at{number(value)}": error

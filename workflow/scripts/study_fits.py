@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import numba
 import numpy as np
 import pandas as pd
 from search_phantom import BOUNDS, candidate, distance, search
@@ -10,9 +9,10 @@ from tqdm import tqdm
 
 from eofm import io
 from eofm.app.config import Config
+from eofm.compiled import use_threads
 from eofm.errors import InputError
 
-numba.set_num_threads(min(snakemake.threads, numba.config.NUMBA_NUM_THREADS))
+use_threads(snakemake.threads)
 config, part = Config(**snakemake.params.config), int(snakemake.wildcards.part)
 config = config.changed(forward=config.forward.changed(background_error=0.01))
 evaluations, rows = snakemake.params.evaluations, []

@@ -2,15 +2,15 @@
 
 from pathlib import Path
 
-import numba
 import pandas as pd
 from study import ERRORS, cases, run
 from tqdm import tqdm
 
 from eofm import io
 from eofm.app.config import Config
+from eofm.compiled import use_threads
 
-numba.set_num_threads(min(snakemake.threads, numba.config.NUMBA_NUM_THREADS))
+use_threads(snakemake.threads)
 table, config = snakemake.params.table, Config(**snakemake.params.config)
 found = cases(table["cases"], snakemake.params.values)
 part, parts = int(snakemake.wildcards.part), snakemake.params.parts
