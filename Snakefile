@@ -18,6 +18,7 @@ include: "workflow/rules/samples.smk"
 include: "workflow/rules/virtual_oct.smk"
 include: "workflow/rules/ensemble.smk"
 include: "workflow/rules/benchmark.smk"
+include: "workflow/rules/studies.smk"
 include: "workflow/rules/docs.smk"
 
 

@@ -101,6 +101,19 @@ class Ensemble(Section):
     seed: int = Field(2026, ge=0, description="seed of samples and images")
 
 
+class Studies(Section):
+    """How much of the studies is run."""
+
+    folder: str = Field("config/studies", description="tables of what is varied (YAML)")
+    values: int | None = Field(
+        None, ge=1, description="largest number of values along each axis; none: all"
+    )
+    searches: int = Field(3, ge=1, le=100, description="searches for the phantom, from anywhere")
+    evaluations: int = Field(
+        100, ge=10, le=1_000_000, description="phantoms that each of them tries, about"
+    )
+
+
 class Variant(Section):
     """One row of Table 1: what it changes in the estimation."""
 
@@ -129,6 +142,7 @@ class Config(Section):
     identification: Identification = Identification()
     benchmark: Benchmark = Benchmark()
     ensemble: Ensemble = Ensemble()
+    studies: Studies = Studies()
     samples: str = Field("config/samples.tsv", description="table of your own image pairs (TSV)")
 
     def variant(self, name: str) -> Estimation:

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.image import imread
@@ -78,7 +79,7 @@ def project(tmp_path_factory, pytestconfig):
     lines = ["\t".join(row + [""] * (7 - len(row))).rstrip("\t") for row in ROWS]
     (project.root / "pairs.tsv").write_text("\n".join(lines) + "\n")
     project.result = project.run(
-        *("--cores", "2", "all", "accuracy", "samples", "virtual_oct", "ensemble", "benchmark"),
+        *("--cores", "2", "all", "accuracy", "samples", "virtual_oct", "ensemble", "benchmark", "studies"),
         *("--config", "samples=pairs.tsv"),
     )
     failed = set(re.findall(r"Error in rule (\w+)", project.result.stderr))
@@ -232,6 +233,34 @@ def test_benchmark(project):
     assert solver.iterations.between(2, 30).all()
     assert imread(folder / "benchmark.png").std() > 0.05
     assert (folder / "benchmark.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_readings_are_ranked_by_their_distance_from_the_paper(project):
+    table = pd.read_csv(project.root / "results/studies/readings.csv")
+    cells = [f"{t}_{c}" for t in range(1, 6) for c in ("e_rel", "e_rel_u1", "e_rel_u2")]
+    assert list(table.columns) == ["phantom", "reading", "seed", *cells, "log_rms"]
+    paper = pd.read_csv(project.root / "results/table1.csv", dtype={"test": str})
+    paper = paper.set_index("test").filter(like="paper_").loc[list("12345")].to_numpy().ravel()
+    distance = np.sqrt((np.log(table[cells] / paper) ** 2).mean(axis=1))
+    np.testing.assert_allclose(table.log_rms, distance, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("study", "columns"),
+    [
+        ("ensemble_table", "test cell paper median low high"),
+        ("parameters", "bubbles alpha beta sigma e_rel"),
+        ("theory", "part series x y refused"),
+    ],
+)
+def test_studies(project, study, columns):
+    folder = project.root / "results/studies"
+    table = pd.read_csv(folder / f"{study}.csv")
+    assert list(table.columns) == columns.split()
+    assert len(table) > 1
+    for name in (study, "demands", "fits"):
+        assert imread(folder / f"{name}.png").std() > 0.02
+        assert (folder / f"{name}.pdf").read_bytes().startswith(b"%PDF")
 
 
 def test_ensemble(project):

@@ -8,7 +8,7 @@ rule numbers:
         expand(
             "{folder}/{name}.json",
             folder=QUOTED,
-            name=["paper", "ensemble", "benchmark"],
+            name=["paper", "ensemble", "benchmark", "studies"],
         ),
 
 
@@ -69,3 +69,21 @@ use rule numbers_ensemble as numbers_benchmark with:
     params:
         name="benchmark",
         command="snakemake --cores 2 docs/figures/benchmark.json",
+
+
+rule numbers_studies:
+    input:
+        studies=expand("{folder}/{name}.json", folder=STUDIES, name=STUDY_PARTS),
+        code=code("numbers_studies.py"),
+    output:
+        f"{QUOTED}/studies.json",
+    log:
+        "logs/numbers/studies.log",
+    benchmark:
+        "benchmarks/numbers/studies.tsv"
+    resources:
+        mem_mb=300,
+    params:
+        command="snakemake --cores 2 docs/figures/studies.json",
+    script:
+        "../scripts/numbers_studies.py"

@@ -81,7 +81,7 @@ rule ensemble_peers:
         "../scripts/ensemble_peers.py"
 
 
-rule ensemble_table:
+rule ensemble_figure:
     input:
         ours=expand("{folder}/{n}/errors.csv", folder=ENSEMBLE, n=NUMBERS),
         others=expand("{folder}/{n}/peers.csv", folder=ENSEMBLE, n=NUMBERS),

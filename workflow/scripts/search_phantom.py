@@ -11,6 +11,7 @@ evaluation takes about 2 s per seed on one core.
 """
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -116,6 +117,43 @@ def distance(config: Config, seed: int) -> float:
     )
 
 
+def search(
+    config: Config,
+    score: Callable[[np.ndarray], float],
+    *,
+    evaluations: int,
+    population: int = 30,
+    spread: float = 1.0,
+    seed: int = 0,
+    workers: int = 1,
+    callback: Callable[..., None] | None = None,
+) -> None:
+    """Minimise a score of vectors of parameters by differential evolution.
+
+    It starts within a part ``spread`` of the bounds about the configuration, which is one of the
+    first; or, if that is 1, anywhere.
+    """
+    rng = np.random.default_rng(seed)
+    bounds = np.array(list(BOUNDS.values()))
+    start = parameters(config)
+    first = rng.uniform(*bounds.T, (population, len(bounds)))
+    if spread < 1:
+        first = np.clip(start + spread * (first - start), *bounds.T)
+        first[0] = np.clip(start, *bounds.T)
+    differential_evolution(
+        score,
+        bounds,
+        maxiter=max(evaluations // population - 1, 1),
+        init=first,
+        mutation=(0.3, 0.8),
+        recombination=0.8,
+        rng=rng,
+        polish=False,
+        callback=callback,
+        workers=workers,
+    )
+
+
 def main() -> None:
     """Run the search and print its best configuration."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -136,23 +174,17 @@ def main() -> None:
         chosen = {name: best.get(name, {}) for name in ("sample", "phantom")}
         print(f"# distance {intermediate_result.fun:.3f}\n{yaml.safe_dump(chosen)}", flush=True)
 
-    rng = np.random.default_rng(0)
-    bounds = np.array(list(BOUNDS.values()))
-    start = parameters(config)
-    first = rng.uniform(*bounds.T, (args.population, len(bounds)))
-    first = np.clip(start + args.spread * (first - start), *bounds.T)
-    first[0] = np.clip(start, *bounds.T)
-    differential_evolution(
-        lambda x: float(np.mean([distance(candidate(config, x), s) for s in args.seeds])),
-        bounds,
-        maxiter=max(args.evaluations // args.population - 1, 1),
-        init=first,
-        mutation=(0.3, 0.8),
-        recombination=0.8,
-        rng=rng,
-        polish=False,
-        callback=report,
+    def score(x: np.ndarray) -> float:
+        return float(np.mean([distance(candidate(config, x), seed) for seed in args.seeds]))
+
+    search(
+        config,
+        score,
+        evaluations=args.evaluations,
+        population=args.population,
+        spread=args.spread,
         workers=args.workers,
+        callback=report,
     )
 
 
