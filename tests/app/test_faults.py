@@ -7,7 +7,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -59,6 +58,7 @@ def test_a_summary_says_what_it_comes_from(scans, results):
         assert json.loads(file.imagej_metadata["Info"]) == said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_sample_leaves_the_results_as_they_were(scans, results, tmp_path, ending):
     folder = tmp_path / "results"
@@ -79,6 +79,7 @@ def test_an_interrupted_sample_leaves_the_results_as_they_were(scans, results, t
     assert state(folder) == before
 
 
+@pytest.mark.slow
 def test_killed_while_files_move_there_is_no_summary(scans, results, tmp_path):
     folder = tmp_path / "results"
     shutil.copytree(results, folder)
@@ -166,8 +167,6 @@ def test_a_damaged_intermediate_ends_the_next_step(scans, tmp_path, capsys):
 
 
 def test_nothing_is_left_in_a_folder_by_what_failed(scans, tmp_path):
-    started = time.time()
     assert main(words(scans, tmp_path / "r", "--top", "glued")) == 1
     assert not (tmp_path / "r").exists()
-    assert time.time() - started < 60
     assert os.listdir(tmp_path) == []

@@ -22,6 +22,7 @@ def test_what_was_found_once_is_read_or_refused_in_one_line(path):
         assert "memory" not in str(error)  # noqa: PT017
 
 
+@pytest.mark.slow
 def test_a_short_run_finds_nothing(tmp_path):
     results, faults = fuzz.fuzz(count=3000, cores=1, seed=99, found=tmp_path)
     assert faults == []
