@@ -10,12 +10,14 @@ from tqdm import tqdm
 
 from eofm.flow.functional import Pointwise, Quadratic
 from eofm.flow.known import Known
-from eofm.flow.matching import ImagePair, Match, random_signs
+from eofm.flow.matching import ImagePair, Match, held_out, random_signs
 from eofm.flow.multigrid import multigrid
-from eofm.flow.problem import FINEST, Problem, sampled_pairs
+from eofm.flow.problem import COARSE, FINEST, Problem, sampled_pairs
 from eofm.flow.start import correlation, match_blocks
 from eofm.flow.trust import Trust, judge
+from eofm.flow.weight import MARGIN, RIDGE, around
 from eofm.grid import Array, Edge, Grid, componentwise, unit_spacing
+from eofm.imaging.intensity import normalise_locally
 from eofm.imaging.splines import resize_field
 from eofm.settings import Estimation
 
@@ -98,6 +100,25 @@ class Estimate:
             squares += sample**2
         return np.sqrt(squares / samples)
 
+    @cached_property
+    def optimism(self) -> float:
+        """Ratio of the residuals of blocks that are held out to those of the same in use.
+
+        Where few data carry the field, they are fitted by it, and their residuals are smaller
+        than their errors. It is 1 for many data and more for few bubbles; one solve tells it,
+        of the change of the displacement when a quarter of the blocks is left out.
+        """
+        F, match = self.functional, self.match
+        out = held_out(match.grid.shape)
+        left = around(out, MARGIN)
+        b = match.g * np.where(left & match.used, match.r, 0.0)
+        A = F.terms.A * ~left + RIDGE * match.strength * componentwise([1, 0, 1], 2)
+        change = multigrid(replace(F, terms=Pointwise(A, b)), tol=1e-2)
+        told = out & match.used
+        seen = float((match.r[told] ** 2).sum())
+        missed = float((match.residual(match.u + change)[told] ** 2).sum())
+        return max(1.0, math.sqrt(missed / seen)) if seen > 0 else 1.0
+
     def samples(self, count: int, seed: int = 0) -> Iterator[Array]:
         """Errors of the displacement as they may be, shape (2, height, width), px.
 
@@ -106,12 +127,14 @@ class Estimate:
         that of the residuals, with one random sign for each block of pixels (wild cluster
         bootstrap, Cameron, Gelbach and Miller, Rev. Econ. Stat. 90, 2008): residuals of
         bubbles are correlated and grow with the gradient, so white noise would promise too
-        much. A speckle term on the finest scale (``speckle_scales="all"``) counts as exact.
+        much. Both are raised by the ``optimism``. A speckle term on the finest
+        scale (``speckle_scales="all"``) counts as exact.
         """
         rng, F, match = np.random.default_rng(seed), self.functional, self.match
+        r, sigma = self.optimism * match.r, self.optimism * match.noise
         for _ in range(count):
-            noise = random_signs(match.grid.shape, rng) * match.used * match.r
-            b = match.g * noise + match.noise * F.rough(rng) / match.grid.areas
+            noise = random_signs(match.grid.shape, rng) * match.used * r
+            b = match.g * noise + sigma * F.rough(rng) / match.grid.areas
             v = multigrid(replace(F, terms=Pointwise(F.terms.A, b)), tol=1e-2)
             yield resize_field(v, self.u.shape[1:]) / self.spacing
 
@@ -181,24 +204,29 @@ def estimate_displacement(
     u = problem.u_bg
     chosen: tuple[float, ...] = ()
     hidden = None if progress else True
+    compared = min(largest_small(problem.grids), len(pairs) - 1 - FINEST)
     for number, pair in enumerate(tqdm(pairs, "scales", disable=hidden)):
         u, alpha, F, chosen = problem.level(number, pair, u).improve(chosen, progress)
-        if settings.robust and number == start_number(problem.grids):
-            u = best_start(problem, number, pair, u)
+        if settings.robust and number == compared:
+            u = best_start(problem, number, pairs, u)
     spacing = componentwise(unit_spacing(known.pixel_size), 2)
     u = problem.carried(u, I1.shape) / spacing
     return Estimate(u, alpha, pair, settings.denoising, F, spacing, tuple(problem.v_edges))
 
 
-def start_number(grids: Sequence[Grid]) -> int:
-    """Grid on which starts are compared, the largest of up to ``SIDE``^2 samples; -1 for none."""
-    small = [math.prod(grid.shape) <= SIDE**2 for grid in grids[:-FINEST]]
-    return sum(small) - 1
+def largest_small(grids: Sequence[Grid]) -> int:
+    """Number of the largest grid of up to ``SIDE``^2 samples, or of the coarsest."""
+    return max(sum(math.prod(grid.shape) <= SIDE**2 for grid in grids) - 1, 0)
 
 
-def best_start(problem: Problem, number: int, pair: ImagePair, u: Array) -> Array:
-    """That of ``u`` and the field of matched blocks after which the images correlate best."""
-    matched = match_blocks(pair.I1 - pair.I1.mean(), pair.I2 - pair.I2.mean(), pair.grid)
+def best_start(problem: Problem, number: int, pairs: Sequence[ImagePair], u: Array) -> Array:
+    """That of ``u``, on a grid, and the field of matched blocks after which images correlate best.
+
+    Blocks are matched on a grid that is fine enough for many of them.
+    """
+    pair, fine = pairs[number], pairs[largest_small(problem.grids)]
+    I1, I2 = (normalise_locally(I, COARSE) - 0.5 for I in (fine.I1, fine.I2))
+    matched = match_blocks(I1, I2, fine.grid)
     if matched is None:
         return u
     other = problem.level(number, pair, matched).improve((), False).u

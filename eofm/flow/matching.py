@@ -20,11 +20,11 @@ WHITE, SHARP = 0.6, 0.2
 LIVE = 0.9
 TINY = np.finfo(np.float64).tiny
 # Widths over which brightness and contrast, and the noise, are taken to be constant, samples.
-BRIGHTNESS, NOISE = 12.0, 8.0
+BRIGHTNESS, NOISE = 12.0, 6.0
 # Least local contrast and variance, as a part of the image's: black is not to be raised.
-LEAST_CONTRAST, LEAST_VARIANCE = 0.02, 0.1
-# Squared residuals above so many local variances are not counted among them, and most.
-OUTLIER, HEAVIEST = 9.0, 50.0
+LEAST_CONTRAST, LEAST_VARIANCE = 0.02, 0.2
+# Squared residuals count among a local variance up to so many of it, and are outliers from there.
+CLIPPED, OUTLIER = 9.0, 20.0
 
 
 @dataclass(frozen=True)
@@ -51,27 +51,25 @@ class Match:
     used: Mask
     weight: Array | None = None
 
-    def weighed(self) -> "Match":
+    def weighed(self, contrast: Array) -> "Match":
         """Return the same with g and r in units of the noise, which is not alike everywhere.
 
-        Speckle that decorrelates leaves residuals as large as it is bright: each is divided by
-        the deviation of those around it. What is left is taken for a Student t distribution,
-        with the degrees of freedom that its kurtosis tells (Gaussian noise: none are
-        outliers), and weighed accordingly (Lange, Little and Taylor, J. Am. Stat. Assoc. 84,
-        1989). The mean weight is 1.
+        Speckle that decorrelates leaves residuals as large as it is bright: their variance is
+        taken for a constant and a multiple of the squared local ``contrast``, shape (height,
+        width). Where the field fails, as at the edge of an inclusion, residuals are large as
+        well, yet no less is known of the motion; only those that stand out from their
+        surroundings are outliers (weights of Geman and McClure's kind). The mean weight is 1.
         """
         if not self.used.any():
             return self
         around, r2 = Window(self.used, NOISE), self.r**2
-        variance = around.mean(r2)
+        local = around.mean(r2)
         for _ in range(2):
-            variance = around.mean(np.minimum(r2, OUTLIER * variance))
-        variance += LEAST_VARIANCE * variance[self.used].mean() + TINY
-        z2 = r2 / variance
-        z = np.minimum(z2[self.used], HEAVIEST)
-        excess = (z**2).mean() / max(z.mean() ** 2, TINY) - 3
-        nu = 4 + 6 / max(excess, 1e-2)
-        w = (nu + 1) / (nu + z2 * nu / (nu - 2)) / variance
+            local = around.mean(np.minimum(r2, CLIPPED * local))
+        least = LEAST_VARIANCE * local[self.used].mean() + TINY
+        constant, slope = _variances(local[self.used], contrast[self.used] ** 2, least)
+        w = 1 / (constant + slope * contrast**2 + least)
+        w /= 1 + (r2 / (OUTLIER * (local + least))) ** 2
         w /= w[self.used].mean()
         root = np.sqrt(w)
         return replace(self, g=self.g * root, r=self.r * root, weight=w)
@@ -177,15 +175,15 @@ class ImagePair:
         noise that a spline lets through depends on where between the pixels it is taken.
         That would pull motions; as far as noise is white, g is the gradient of I1 alone.
         """
-        match, g = self._linearise(u)
+        match, g, contrast = self._linearise(u)
         if not self.robust:
             return match.filtered(denoising)
         if self.mean and (white := match.whiteness):
             match = replace(match, g=white * g + (1 - white) * match.g)
-        return match.filtered(denoising).weighed()
+        return match.filtered(denoising).weighed(contrast)
 
-    def _linearise(self, u: Array) -> tuple[Match, Array]:
-        """Images linearised about a displacement, and the gradient of I1."""
+    def _linearise(self, u: Array) -> tuple[Match, Array, Array]:
+        """Images linearised about a displacement, the gradient of I1, and local contrast."""
         samples = u / componentwise(self.grid.spacing, 2)
         if self.mean:
             warped, g, inside = self._spline.warp_with_gradient(samples, self.grid.spacing)
@@ -194,9 +192,9 @@ class ImagePair:
         used = inside & self.live
         if not self.live_after.all():
             used &= Spline(self.live_after.astype(np.float64)).warp(samples)[0] > LIVE
-        I1, g1 = self.I1, self._gradient
+        I1, g1, contrast = self.I1, self._gradient, np.ones(self.grid.shape)
         if self.robust and used.any():
-            gain, offset = brightness(I1, warped, used)
+            gain, offset, contrast = brightness(I1, warped, used)
             I1, g1 = gain * I1 + offset, gain * g1
         if self.mean:
             g += g1
@@ -204,7 +202,7 @@ class ImagePair:
         else:
             g = g1
         warped -= I1
-        return Match(self.grid, u, g, warped, used), g1
+        return Match(self.grid, u, g, warped, used), g1, contrast
 
     @cached_property
     def _spline(self) -> Spline:
@@ -215,8 +213,8 @@ class ImagePair:
         return gradient(self.I1, self.grid.spacing)
 
 
-def brightness(I1: Array, warped: Array, used: Mask) -> tuple[Array, Array]:
-    """Gain and offset fields that give I1 the local mean and contrast of the warped I2.
+def brightness(I1: Array, warped: Array, used: Mask) -> tuple[Array, Array, Array]:
+    """Gain and offset that give I1 the local mean and contrast of the warped I2; that contrast.
 
     A generalised dynamic image model (Negahdaripour, IEEE Trans. Pattern Anal. Mach. Intell. 20,
     1998) by moments, which noise in both images does not bias as a regression would be.
@@ -230,7 +228,26 @@ def brightness(I1: Array, warped: Array, used: Mask) -> tuple[Array, Array]:
 
     (mean1, contrast1), (mean2, contrast2) = moments(I1), moments(warped)
     gain = contrast2 / contrast1
-    return gain, mean2 - gain * mean1
+    return gain, mean2 - gain * mean1, contrast2
+
+
+def _variances(variance: Array, squares: Array, least: float) -> tuple[float, float]:
+    """Constant and slope, neither negative, of variances over squares of the contrast.
+
+    A variance is uncertain by a part of itself, so the fit is weighed by that of the fit before.
+    """
+    constant, slope = float(variance.mean()), 0.0
+    for _ in range(4):
+        w = 1 / (constant + slope * squares + least) ** 2
+        w /= w.sum()
+        x, y = (w * squares).sum(), (w * variance).sum()
+        spread = (w * squares**2).sum() - x**2
+        slope = max(0.0, float(((w * squares * variance).sum() - x * y) / max(spread, TINY)))
+        constant = float(y - slope * x)
+        if constant < 0:
+            constant = 0.0
+            slope = float((w * squares * variance).sum() / max((w * squares**2).sum(), TINY))
+    return constant, slope
 
 
 def held_out(shape: tuple[int, ...], fold: int = 0, block: int = BLOCK) -> Mask:

@@ -121,7 +121,7 @@ class _Trial:
         self.match, self.about, self.free = match, about, free
         out = held_out(match.grid.shape, fold)
         self.out = out & match.used
-        terms = match.density(about, ~_around(out, MARGIN))
+        terms = match.density(about, ~around(out, MARGIN))
         self.terms = Pointwise(terms.A + ridge * np.reshape([1, 0, 1], (3, 1, 1)), terms.b)
         self.prescribed, self.v = prescribed, np.zeros_like(about)
 
@@ -133,7 +133,7 @@ class _Trial:
         return float(np.sum(r[self.out] ** 2))
 
 
-def _around(mask: Mask, margin: int) -> Mask:
+def around(mask: Mask, margin: int) -> Mask:
     """Pixels of a mask and those no farther than a margin along each axis."""
     sides = (2 * margin + 1,) * mask.ndim
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(mask, margin), sides)

@@ -1,7 +1,6 @@
 """One grey scale for two images, and pixels that show no sample."""
 
 import numpy as np
-from scipy import ndimage
 
 from eofm.errors import InputError
 from eofm.grid import Array, Mask
@@ -9,11 +8,11 @@ from eofm.imaging import kernels
 from eofm.imaging.gaussian import blur
 from eofm.settings import LARGEST, LEAST
 
-# A highlight is so many times as high above the median as nine in ten local maxima are, which
+# A highlight is so many times as high above the median as three in four local maxima are, which
 # are the brightest of squares of PEAK px; and its surroundings, px, are none the better.
-HIGHLIGHT, PEAK, MARGIN = 3.0, 5, 2
+HIGHLIGHT, PEAK, MARGIN = 4.0, 5, 2
 # Where there are more of them, that is what the sample looks like.
-RARE = 0.02
+RARE = 0.05
 # Length of a line of saturated pixels that no structure makes, px.
 LINE = 32
 
@@ -74,13 +73,16 @@ def defects(I: Array) -> Mask:
     """Pixels that show the detector instead of the sample: highlights and saturated lines.
 
     Saturated pixels as such are none: what is clipped where it is bright moves with the
-    sample. Neither is found where either would make up more than 2 % of the image.
+    sample. Neither is found where either would make up more than 5 % of the image.
     """
+    # Its import takes a tenth of a short estimate.
+    from scipy import ndimage
+
     above = I - np.median(I)
     peaks = above[(ndimage.maximum_filter(I, PEAK) <= I) & (above > 0)]
     if not peaks.size:
         return np.zeros(I.shape, dtype=bool)
-    bright = above > HIGHLIGHT * np.quantile(peaks, 0.9)
+    bright = above > HIGHLIGHT * np.quantile(peaks, 0.75)
     top = above >= np.max(above, where=~bright, initial=0.0)
     lines = [ndimage.binary_opening(top, np.ones(shape)) for shape in ((1, LINE), (LINE, 1))]
     found = bright | lines[0] | lines[1]
@@ -93,6 +95,8 @@ def filled(I: Array, dead: Mask) -> Array:
     """The image with each dead pixel as its nearest live one."""
     if not dead.any() or dead.all():
         return I
+    from scipy import ndimage
+
     nearest = ndimage.distance_transform_edt(dead, return_distances=False, return_indices=True)
     return np.where(dead, I[tuple(nearest)], I)
 

@@ -1,0 +1,147 @@
+"""What changes between two images beside the motion, and motions that are large."""
+
+import numpy as np
+import pytest
+
+import eofm
+import eofm.grid
+from eofm.flow.start import consistent, match_blocks
+from eofm.grid import Grid
+from eofm.imaging.intensity import Window, defects, normalise_locally
+
+SHAPE = (96, 112)
+
+
+def motion(shape=SHAPE, size=2.0):
+    x2, x1 = np.mgrid[: shape[0], : shape[1]] / np.reshape(shape, (2, 1, 1))
+    return size * np.stack([0.6 * (x1 - 0.5) * np.sin(np.pi * x2), -x2 + 0.1 * np.sin(4 * x1)])
+
+
+def speckle(u, seed=3):
+    count = int(0.08 * u[0].size)
+    phantom = eofm.Phantom(count=count, sigma=(1.2, 1.8), brightness=(0.3, 1.0), seed=seed)
+    I1, I2, _ = eofm.make_phantom(u, phantom)
+    return I1 / I1.max(), I2 / I1.max()
+
+
+def error(I1, I2, u, **settings):
+    found = eofm.estimate_displacement(I1, I2, eofm.Estimation(**settings)).u
+    return float(np.hypot(*(found - u)).mean())
+
+
+def ramp(I):
+    return I * np.linspace(1.1, 0.4, len(I))[:, None]
+
+
+def shadow(I):
+    x2, x1 = np.mgrid[: len(I), : len(I[0])] / np.reshape(I.shape, (2, 1, 1))
+    return I * (1 - 0.6 * (x2 > 0.3) * np.exp(-(((x1 - 0.5) / 0.15) ** 2)))
+
+
+def highlights(I):
+    I = I.copy()
+    I[10:90:17, 9:100:21] = 5.0
+    return I
+
+
+def line(I):
+    I = I.copy()
+    I[40:42] = 1.0
+    return I
+
+
+CHANGES = {
+    "ramp": (lambda I: I, ramp, 0.04),
+    "shadow": (lambda I: I, shadow, 0.04),
+    "gain": (lambda I: I, lambda I: 0.7 * I, 0.02),
+    "gain and offset": (lambda I: I, lambda I: 0.7 * I + 0.15, 0.02),
+    "gamma": (lambda I: I, np.sqrt, 0.05),
+    "highlights appear": (lambda I: I, highlights, 0.02),
+    "highlights stay": (highlights, highlights, 0.02),
+    "saturated line": (line, line, 0.03),
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_what_is_no_motion_is_not_taken_for_one(name):
+    before, after, bound = CHANGES[name]
+    u = motion()
+    I1, I2 = speckle(u)
+    I1, I2 = before(I1), after(I2)
+    assert error(I1, I2, u) < bound < error(I1, I2, u, robust=False)
+
+
+def test_nothing_is_lost_without_a_change():
+    u = motion()
+    images = speckle(u)
+    assert error(*images, u) < 1.05 * error(*images, u, robust=False)
+
+
+@pytest.mark.parametrize("change", [lambda I: I, lambda I: 0.7 * I + 0.1, highlights])
+def test_no_motion_gives_zero(change):
+    I = speckle(0 * motion())[0]
+    assert np.abs(eofm.estimate_displacement(I, change(I)).u).max() < 0.02
+
+
+def test_same_bytes_each_time():
+    I1, I2 = speckle(motion())
+    first, second = (eofm.estimate_displacement(I1, ramp(I2)) for _ in range(2))
+    assert np.array_equal(first.u, second.u)
+    assert np.array_equal(first.deviation(4), second.deviation(4))
+
+
+@pytest.mark.parametrize("shift", [(30.0, -25.0), (-28.0, 31.0)])
+def test_a_shift_by_a_quarter_of_the_image_is_found(shift):
+    shape = (128, 136)
+    u = np.broadcast_to(np.reshape(shift, (2, 1, 1)), (2, *shape)).copy()
+    found = eofm.estimate_displacement(*speckle(u)).u
+    seen = eofm.grid.inside(shape, u + np.mgrid[: shape[0], : shape[1]][::-1])
+    assert np.hypot(*(found - u))[seen].mean() < 0.05
+
+
+def test_blocks_are_found_where_they_moved():
+    u = motion((96, 96), 6.0)
+    images = (normalise_locally(I, (8.0, 8.0)) for I in speckle(u))
+    found = match_blocks(*(I - I.mean() for I in images), Grid((96, 96), (2.0, 0.5)))
+    assert found is not None
+    inner = np.s_[:, 12:-12, 12:-12]
+    assert np.abs(found / np.reshape([2.0, 0.5], (2, 1, 1)) - u)[inner].max() < 1.0
+
+
+def test_blocks_of_unrelated_images_say_nothing():
+    one, other = (speckle(motion((96, 96)), seed)[0] for seed in (1, 2))
+    assert match_blocks(one - one.mean(), other - other.mean(), Grid((96, 96))) is None
+
+
+def test_a_motion_against_its_neighbours_is_not_consistent():
+    u = np.zeros((2, 5, 5))
+    u[0, 2, 2] = 9.0
+    good = consistent(u, np.ones((5, 5), dtype=bool))
+    assert not good[2, 2]
+    assert good.sum() == 24
+
+
+def test_defects_are_highlights_and_saturated_lines_and_nothing_else():
+    I = speckle(motion())[0]
+    assert not defects(I).any()
+    assert not defects(np.minimum(I, 0.5)).any()
+    found = defects(highlights(I))
+    assert found[10:90:17, 9:100:21].all()
+    assert found.mean() < 0.1
+    assert defects(line(I))[40:42].all()
+
+
+def test_window_is_a_gaussian_average_over_a_mask(rng):
+    f, mask = rng.normal(size=(60, 70)), rng.random((60, 70)) < 0.8
+    x2, x1 = np.mgrid[:60, :70]
+    w = mask * np.exp(-((x2 - 5) ** 2 + (x1 - 40) ** 2) / (2 * 8.0**2))
+    assert Window(mask, 8.0).mean(f)[5, 40] == pytest.approx((w * f).sum() / w.sum(), abs=0.02)
+    assert np.allclose(Window(mask, 8.0).mean(np.ones((60, 70))), 1)
+
+
+def test_few_bubbles_are_fitted_better_than_known():
+    u = motion()
+    few = eofm.Phantom(count=120, seed=4)
+    sparse = eofm.estimate_displacement(*eofm.make_phantom(u, few)[:2])
+    assert sparse.optimism > 1.02
+    assert eofm.estimate_displacement(*speckle(u)).optimism < sparse.optimism
