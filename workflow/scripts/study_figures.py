@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 from paper import TABLE
 from search_phantom import BOUNDS, parameters
 
@@ -124,7 +125,7 @@ def parameters_study(rows: pd.DataFrame, config: Config) -> Study:
     means = []
     for line, (name, other) in zip(axes, maps.items(), strict=True):
         for axis, kind in zip(line, kinds, strict=True):
-            some = rows[(rows.map == name) & (rows.bubbles_kind == kind)]
+            some = rows[(rows["map"] == name) & (rows.bubbles_kind == kind)]
             mean = some.pivot_table(index=other, columns="alpha", values="e_rel")
             shown = heat(axis, np.log10(mean.to_numpy()), mean.columns, mean.index, "viridis_r")
             best = mean.stack().idxmin()
@@ -150,10 +151,9 @@ def parameters_study(rows: pd.DataFrame, config: Config) -> Study:
 
 def demands(rows: pd.DataFrame, config: Config) -> Study:
     """Error of test 5, the preset and test 6 over one thing at a time."""
-    table = rows.pivot_table(
-        index=["demand", "value"], columns="method", values="e_rel", dropna=False, sort=False
-    ).reset_index()
-    refused = rows[rows.refused.notna()].groupby(["demand", "value", "method"]).size()
+    keys = ["demand", "value", "method"]
+    table = rows.groupby(keys, sort=False).e_rel.mean().unstack().reset_index()
+    refused = rows[rows.refused.notna()].groupby(keys).size()
     names = list(rows.demand.unique())
     figure = Figure((7.6, 4.4), layout="constrained")
     axes = figure.subplots(2, (len(names) + 1) // 2, sharey=True).ravel()
@@ -172,7 +172,9 @@ def demands(rows: pd.DataFrame, config: Config) -> Study:
             }
         axis.set_xticks(place, [f"{value:g}" for value in some.value], rotation=45)
         axis.set(yscale="log", xlabel=name)
+        axis.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axis.yaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_minor_formatter(NullFormatter())
         axis.grid(axis="y", which="both", linewidth=0.2)
     for axis in axes[:: len(axes) // 2]:
         axis.set_ylabel("relative error of u [%]")
