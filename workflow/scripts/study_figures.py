@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 from paper import TABLE
 from search_phantom import BOUNDS, parameters
 
@@ -44,8 +45,8 @@ def readings(rows: pd.DataFrame, config: Config) -> Study:
         axis.set(title=f"phantom: {phantom}", xlabel="rms of ln(ours / paper)")
         axis.set_yticks(range(1, len(order) + 1), order)
         axis.axvline(0.12, color="0.6", linewidth=0.5)
-        axis.set_xlim(left=0)
     axes[0].invert_yaxis()
+    axes[0].set_xlim(left=0)
     axes[0].set_ylabel("warped by, R on, ends, lengths")
     numbers: Numbers = {}
     for phantom in phantoms:
@@ -101,6 +102,10 @@ def ensemble_table(rows: pd.DataFrame, config: Config) -> Study:
     left.legend(frameon=False)
     share = np.array([[orders.get(f"{s}<{t}", np.nan) for t in TABLE] for s in TABLE])
     heat(right, share, list(TABLE), list(TABLE), "viridis", (0, 1))
+    for (i, j), value in np.ndenumerate(share):
+        if i != j:
+            colour = "w" if value < 0.6 else "k"
+            right.text(j, i, f"{value:.2g}", ha="center", va="center", color=colour)
     right.set(xlabel="than test", ylabel="test is better", title="part of the seeds")
     numbers: Numbers = {"order": {k.replace("<", "_before_"): v for k, v in orders.items()}}
     numbers |= {"within": int(within.sum()), "cells": len(table), "seeds": len(wide)}
@@ -120,40 +125,36 @@ def parameters_study(rows: pd.DataFrame, config: Config) -> Study:
     kinds, maps = rows.bubbles_kind.unique(), {"alpha and beta": "beta", "alpha and sigma": "sigma"}
     figure = Figure((7.2, 4.8), layout="constrained")
     axes = figure.subplots(2, len(kinds), squeeze=False)
-    chosen, numbers = config.variant("5"), {}
-    means = []
+    chosen, numbers, means = config.variant("5"), {}, []
     for line, (name, other) in zip(axes, maps.items(), strict=True):
+        keys = ["bubbles_kind", other, "alpha"]
+        errors = rows[rows["map"] == name].groupby(keys).e_rel.mean()
+        limits = np.log10([errors.min(), errors.max()])
         for axis, kind in zip(line, kinds, strict=True):
-            some = rows[(rows.map == name) & (rows.bubbles_kind == kind)]
-            mean = some.pivot_table(index=other, columns="alpha", values="e_rel")
-            shown = heat(axis, np.log10(mean.to_numpy()), mean.columns, mean.index, "viridis_r")
-            best = mean.stack().idxmin()
-            for (y, x), mark in ((best, "wo"), ((getattr(chosen, other), chosen.alpha), "r*")):
-                if x in mean.columns and y in mean.index:
-                    axis.plot(
-                        mean.columns.get_loc(x),
-                        mean.index.get_loc(y),
-                        mark,
-                        markersize=7,
-                        markeredgecolor="k",
-                    )
-                    numbers.setdefault(short(kind), {}).setdefault(other, {})[
-                        "best" if mark == "wo" else "paper"
-                    ] = {"e_rel": float(mean.loc[y, x]), "alpha": float(x), other: float(y)}
+            mean = errors[kind].unstack()
+            values = np.log10(mean.to_numpy())
+            shown = heat(axis, values, mean.columns, mean.index, "viridis_r", limits)
+            own = (getattr(chosen, other), chosen.alpha)
+            found = numbers.setdefault(short(kind), {}).setdefault(other, {})
+            for role, mark, at in (("best", "wo", errors[kind].idxmin()), ("paper", "r*", own)):
+                if at in errors[kind].index:
+                    x, y = mean.columns.get_loc(at[1]), mean.index.get_loc(at[0])
+                    axis.plot(x, y, mark, markersize=7, markeredgecolor="k")
+                    e = float(errors[kind][at])
+                    found[role] = {"e_rel": e, other: float(at[0]), "alpha": float(at[1])}
             axis.set(xlabel="alpha", ylabel=other, title=kind)
-            means.append(mean.stack().rename("e_rel").reset_index().assign(bubbles=kind))
         bar = figure.colorbar(shown, ax=line, label="relative error of test 5 [%]")
         bar.ax.yaxis.set_major_formatter(lambda value, _: f"{10**value:.3g}")
+        means.append(errors.reset_index().rename(columns={"bubbles_kind": "bubbles"}))
     columns = ["bubbles", "alpha", "beta", "sigma", "e_rel"]
     return pd.concat(means).reindex(columns=columns), figure, numbers
 
 
 def demands(rows: pd.DataFrame, config: Config) -> Study:
     """Error of test 5, the preset and test 6 over one thing at a time."""
-    table = rows.pivot_table(
-        index=["demand", "value"], columns="method", values="e_rel", dropna=False, sort=False
-    ).reset_index()
-    refused = rows[rows.refused.notna()].groupby(["demand", "value", "method"]).size()
+    keys = ["demand", "value", "method"]
+    table = rows.groupby(keys, sort=False).e_rel.mean().unstack().reset_index()
+    refused = rows[rows.refused.notna()].groupby(keys).size()
     names = list(rows.demand.unique())
     figure = Figure((7.6, 4.4), layout="constrained")
     axes = figure.subplots(2, (len(names) + 1) // 2, sharey=True).ravel()
@@ -172,7 +173,9 @@ def demands(rows: pd.DataFrame, config: Config) -> Study:
             }
         axis.set_xticks(place, [f"{value:g}" for value in some.value], rotation=45)
         axis.set(yscale="log", xlabel=name)
+        axis.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axis.yaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_minor_formatter(NullFormatter())
         axis.grid(axis="y", which="both", linewidth=0.2)
     for axis in axes[:: len(axes) // 2]:
         axis.set_ylabel("relative error of u [%]")
@@ -258,9 +261,7 @@ def slope(rows: pd.DataFrame) -> float:
     return float(np.polyfit(np.log(rows.x), np.log(rows.y), 1)[0])
 
 
-def heat(
-    axis: Axes, values: Any, columns: Any, lines: Any, colours: str, limits: Any = (None, None)
-) -> Any:
+def heat(axis: Axes, values: Any, columns: Any, lines: Any, colours: str, limits: Any) -> Any:
     """A map with a cell for each value, labelled."""
     shown = axis.imshow(
         values, colours, origin="lower", aspect="auto", vmin=limits[0], vmax=limits[1]
@@ -268,17 +269,6 @@ def heat(
     for set_ticks, ticks in ((axis.set_xticks, columns), (axis.set_yticks, lines)):
         set_ticks(range(len(ticks)), [t if isinstance(t, str) else f"{t:.3g}" for t in ticks])
     axis.tick_params(axis="x", rotation=60 if len(columns) > 5 else 0)
-    if limits[0] is not None:
-        for (i, j), value in np.ndenumerate(values):
-            if value == value:
-                axis.text(
-                    j,
-                    i,
-                    f"{value:.2g}",
-                    ha="center",
-                    va="center",
-                    color="w" if value < 0.6 else "k",
-                )
     return shown
 
 
