@@ -506,6 +506,9 @@ class Pair(Measures):
     )
     poisson_ratio: float = Field(0.49, gt=0, lt=0.5, description="of the elastic background")
     plane: Literal["strain", "stress"] = Field("strain", description="of the elastic background")
+    figures: Literal["none", "png", "all"] = Field(
+        "png", description="figures to draw: none, PNG, or all (PNG and PDF)"
+    )
 
     @property
     def pixel_size(self) -> tuple[float, float]:

@@ -113,14 +113,16 @@ class Analysis:
 
         return draw(self)
 
-    def write(self, folder: Path, images: Sequence[str] = ()) -> None:
+    def write(
+        self, folder: Path, images: Sequence[str] = (), kinds: Sequence[str] = ("png", "pdf")
+    ) -> None:
         """Write fields, tables, summary and figures, see `eofm.analysis.report`.
 
-        The summary names the ``images`` they come from.
+        The summary names the ``images`` they come from; figures are files of some ``kinds``.
         """
         from eofm.analysis.report import write_results
 
-        write_results(self, folder, images)
+        write_results(self, folder, images, kinds)
 
 
 def analyse(

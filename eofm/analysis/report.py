@@ -16,14 +16,16 @@ from eofm.grid import Array, componentwise
 from eofm.settings import Figures, Pair
 
 STRAIN_LABELS = ["e11 lateral", "e22 axial", "e12 shear"]
-KINDS = ("png", "pdf")
+# Kinds of files of the figures, by what `figures` says.
+KINDS = {"none": (), "png": ("png",), "all": ("png", "pdf")}
+FIGURES = ("pair", "displacement", "strain", "quality", "stiffness")
 # What only some runs make, and all that any run makes.
 SOMETIMES = (
     "increments.tif",
     "deviation.tif",
     "stiffness.tif",
     "stiffness_deviation.tif",
-    *(f"stiffness.{kind}" for kind in KINDS),
+    *(f"{name}.{kind}" for name in FIGURES for kind in KINDS["all"]),
 )
 RESULTS = (
     *SOMETIMES,
@@ -33,13 +35,14 @@ RESULTS = (
     "trust.tif",
     "bubbles.csv",
     "bubbles.csv.sha256",
-    *(f"{name}.{kind}" for name in ("pair", "displacement", "strain", "quality") for kind in KINDS),
     "provenance.json",
     "summary.json",
 )
 
 
-def write_results(results: Analysis, folder: Path, images: Sequence[str] = ()) -> None:
+def write_results(
+    results: Analysis, folder: Path, images: Sequence[str], kinds: Sequence[str]
+) -> None:
     """Write fields, tables, summary and figures into a folder.
 
     ``displacement.tif`` (px), ``displacement_um.tif``, ``deviation.tif`` (px), ``strain.tif``,
@@ -47,7 +50,7 @@ def write_results(results: Analysis, folder: Path, images: Sequence[str] = ()) -
     ``bubbles.csv``, ``summary.json``, ``provenance.json``, for sequences also
     ``increments.tif``, with an identified sample ``stiffness.tif`` and
     ``stiffness_deviation.tif`` (of log E), and the figures
-    ``pair``, ``displacement``, ``strain``, ``quality`` and ``stiffness`` as PNG and PDF.
+    ``pair``, ``displacement``, ``strain``, ``quality`` and ``stiffness`` as files of some ``kinds``: png, pdf.
     What an earlier run left there and this one does not make is removed. All files appear
     together once the last one is complete, the summary at the very end.
     """
@@ -56,8 +59,8 @@ def write_results(results: Analysis, folder: Path, images: Sequence[str] = ()) -
             io.remove(folder / name)
         _write_fields(results, folder)
         settings = Figures(pixel_size=results.pixel_size)
-        for name, figure in draw(results, settings).items():
-            paths = [folder / f"{name}.{kind}" for kind in KINDS]
+        for name, figure in draw(results, settings).items() if kinds else ():
+            paths = [folder / f"{name}.{kind}" for kind in kinds]
             figures.save(figure, paths, settings)
         made = io.Origin.current() or io.Origin("analyse", {})
         io.write_json(folder / "provenance.json", made.record() | {"run": made.run()})

@@ -283,7 +283,7 @@ def sample(
     it, the exit status is 3.
     """
     from eofm.analysis.analyse import analyse
-    from eofm.analysis.report import check_results
+    from eofm.analysis.report import KINDS, check_results
     from eofm.analysis.scene import read_scene
 
     check_results(folder, pair)
@@ -302,7 +302,7 @@ def sample(
     except InputError as error:
         raise InputError(f"{folder.name}: {error}") from None
     folder.mkdir(parents=True, exist_ok=True)
-    results.write(folder, pair.files)
+    results.write(folder, pair.files, KINDS[pair.figures])
     return results.trust
 
 

@@ -10,7 +10,7 @@ from eofm.errors import InputError
 from eofm.settings import Estimation, Inclusion, Sample
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "workflow/scripts"))
-from commands import options, read_samples, sample_files, sample_options
+from commands import options, read_samples, sample_files, sample_words
 
 
 def test_options_state_every_value():
@@ -57,7 +57,7 @@ def test_a_row_becomes_options_and_files(tmp_path):
     ]
     path.write_text("\n".join(rows) + "\n")
     mine, other = read_samples(str(path)).values()
-    assert shlex.split(sample_options(mine)) == [
+    assert sample_words(mine) == [
         f"--reference={image}#2",
         "--deformed=results/after.tif",
         f"--bottom=outside moved {edge}",

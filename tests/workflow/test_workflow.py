@@ -84,7 +84,7 @@ def project(tmp_path_factory, pytestconfig):
         *("--config", "samples=pairs.tsv"),
     )
     failed = set(re.findall(r"Error in rule (\w+)", project.result.stderr))
-    assert failed == {"sample"}, project.result.stderr
+    assert failed == {"samples"}, project.result.stderr
     return project
 
 

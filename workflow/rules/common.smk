@@ -1,9 +1,9 @@
 """Checked settings, and what every rule needs to state its command and its inputs."""
 
 import os
-import re
 import shlex
 import sys
+from functools import cache
 from pathlib import Path
 
 import eofm
@@ -13,8 +13,10 @@ from eofm.settings import WARPING
 
 SCRIPTS = Path(os.path.relpath(Path(workflow.basedir) / "workflow/scripts"))
 sys.path.insert(0, str(SCRIPTS))
-from commands import options, read_samples, sample_files, sample_options
+from commands import options, read_samples, sample_files, sample_words
 from imports import Sources
+from parts import memory, minutes, parts, pixels
+from runs import only_run
 
 # Jobs run with this interpreter's commands, whatever the PATH of the caller.
 # A step that ends with 3 has written a result that it says not to trust: the log says why, and
@@ -22,6 +24,12 @@ from imports import Sources
 shell.prefix(
     f"set -euo pipefail; export PATH={shlex.quote(str(Path(sys.executable).parent))}:$PATH; "
 )
+
+if workflow.is_main_process and workflow.executor_plugin and not workflow.dryrun:
+    try:
+        LOCK = only_run(Path(".snakemake"))
+    except InputError as error:
+        sys.exit(str(error))
 
 try:
     settings = eofm.app.config.Config.parse(config, "configuration")
@@ -41,6 +49,7 @@ IMAGES_ONLY = WARPED.changed(beta=0.0)
 SOURCES = Sources(Path(os.path.relpath(Path(eofm.__file__).parent)), SCRIPTS)
 
 
+@cache
 def code(name):
     """Files behind a script NAME.py or a step of the command: editing one reruns a rule."""
     of = SOURCES.of_script if name.endswith(".py") else SOURCES.of_step
@@ -54,15 +63,4 @@ def test_figure(name, test):
         caption="../report/figure_test.rst",
         category="Tests",
         labels={"figure": name, "test": test},
-    )
-
-
-def sample_figure(name):
-    """A figure of a sample, shown in the report."""
-    return report(
-        f"results/samples/{{sample}}/{name}.png",
-        caption="../report/sample.rst",
-        category="Samples",
-        subcategory="{sample}",
-        labels={"result": name},
     )

@@ -1,41 +1,78 @@
 """Your own image pairs, one row of the table of samples each."""
 
+OWN = "results/samples"
+PARTS = list(parts(SAMPLES))
 
+
+# The last step, so that what is wrong stands at the end; the others have run by then.
 rule samples:
     input:
-        expand("results/samples/{sample}/summary.json", sample=SAMPLES),
-
-
-rule sample:
-    input:
-        files=lambda wildcards: sample_files(SAMPLES[wildcards.sample]),
-        code=code("sample"),
-    output:
-        displacement="results/samples/{sample}/displacement.tif",
-        displacement_um="results/samples/{sample}/displacement_um.tif",
-        strain="results/samples/{sample}/strain.tif",
-        bubbles="results/samples/{sample}/bubbles.csv",
-        summary=report(
-            "results/samples/{sample}/summary.json",
-            caption="../report/sample_summary.rst",
-            category="Samples",
-            subcategory="{sample}",
-            labels={"result": "summary"},
-        ),
-        pair=sample_figure("pair"),
-        fields=sample_figure("displacement"),
-        strains=sample_figure("strain"),
-        quality=sample_figure("quality"),
+        f"{OWN}/summary.csv",
+        script=SCRIPTS / "samples_check.py",
     log:
-        "logs/samples/{sample}.log",
-    benchmark:
-        "benchmarks/samples/{sample}.tsv"
-    wildcard_constraints:
-        sample="|".join(map(re.escape, SAMPLES)) or "none",
-    resources:
-        mem_mb=4000,
-    params:
-        options=lambda wildcards: sample_options(SAMPLES[wildcards.sample]),
-        folder=lambda wildcards, output: Path(output.summary).parent,
+        "logs/samples_check.log",
+    localrule: True
     shell:
-        "eofm sample --threads {threads} --folder {params.folder} {params.options} > {log} 2>&1 || [ $? -eq 3 ]"
+        "python {input.script} {input[0]} > {log} 2>&1"
+
+
+for number, names in enumerate(PARTS):
+    sizes = [pixels(SAMPLES[name]) for name in names]
+
+    rule:
+        name:
+            f"samples_{number}"
+        input:
+            files=sorted({f for name in names for f in sample_files(SAMPLES[name])}),
+            code=code("sample"),
+            module=SCRIPTS / "sample_rows.py",
+        output:
+            # Kept while the part runs again: rows that have not changed are not computed again.
+            update(expand("{folder}/{name}/state.json", folder=OWN, name=names)),
+        log:
+            f"logs/samples_{number}.log",
+        benchmark:
+            f"benchmarks/samples_{number}.tsv"
+        threads: 1 if max(sizes) < 1_000_000 else 4
+        resources:
+            mem_mb=memory(max(sizes)),
+            runtime=minutes(sizes),
+        params:
+            folder=OWN,
+            rows={
+                name: {
+                    "words": sample_words(SAMPLES[name]),
+                    "files": sample_files(SAMPLES[name]),
+                    "log": f"logs/samples/{name}.log",
+                }
+                for name in names
+            },
+        script:
+            "../scripts/sample_part.py"
+
+
+rule samples_summary:
+    input:
+        states=expand("{folder}/{sample}/state.json", folder=OWN, sample=SAMPLES),
+        code=code("samples_summary.py"),
+    output:
+        csv=report(
+            f"{OWN}/summary.csv",
+            caption="../report/samples.rst",
+            category="Samples",
+        ),
+        page=report(
+            directory("results/samples_page"),
+            caption="../report/samples.rst",
+            category="Samples",
+            htmlindex="index.html",
+        ),
+    log:
+        "logs/samples_summary.log",
+    benchmark:
+        "benchmarks/samples_summary.tsv"
+    localrule: True
+    resources:
+        mem_mb=300,
+    script:
+        "../scripts/samples_summary.py"

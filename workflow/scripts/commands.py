@@ -74,10 +74,10 @@ def _read_table(path: str) -> pd.DataFrame:
         raise InputError(f"{path}: cannot be read as a table ({error})") from None
 
 
-def sample_options(row: dict[str, str]) -> str:
-    """Command-line options of a row of the table of samples."""
+def sample_words(row: dict[str, str]) -> list[str]:
+    """Options of a row of the table of samples."""
     # One word per cell: the step splits those of several values, so that none is an option.
-    return shlex.join(f"--{name.replace('_', '-')}={text}" for name, text in row.items())
+    return [f"--{name.replace('_', '-')}={text}" for name, text in row.items()]
 
 
 def sample_files(row: dict[str, str]) -> list[str]:

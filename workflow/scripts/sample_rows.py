@@ -1,0 +1,152 @@
+"""Rows of the table of samples, one after the other in one process.
+
+A row that cannot be used, or that ends the process, costs only itself. Rows whose results are
+there and come from the same options, files and code are left as they are.
+"""
+
+import contextlib
+import hashlib
+import json
+import os
+import threading
+import time
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import connection, get_context, parent_process
+from pathlib import Path
+from typing import Any
+
+STATE = "state.json"
+# Exit statuses of the step with results, and without.
+DONE, NOT_TRUSTED = 0, 3
+
+
+def run_rows(rows: dict[str, dict[str, Any]], folder: Path, code: list[str], threads: int) -> None:
+    """Run rows and write a state for each.
+
+    Parameters
+    ----------
+    rows : dict
+        Of each sample its `words`, of the step's command line, its `files` and its `log`.
+    folder : Path
+        Folder of the folders of results.
+    code : list of str
+        Files behind the step.
+    threads : int
+        Cores to use.
+    """
+    made_by = [_checksum(file) for file in code]
+    pool = _pool()
+    for name, row in rows.items():
+        place = folder / name
+        place.mkdir(parents=True, exist_ok=True)
+        key = _key(row["words"], row["files"], made_by)
+        if _has_results(place, key):
+            continue
+        _clear(place)
+        Path(row["log"]).parent.mkdir(parents=True, exist_ok=True)
+        words = ["sample", f"--folder={place}", f"--threads={threads}", *row["words"]]
+        started = time.monotonic()
+        try:
+            status = pool.submit(_run, words, row["log"]).result()
+        except BrokenProcessPool:
+            status, pool = None, _pool()
+        state = {"sample": name} | _state(status, place, Path(row["log"]))
+        state |= {"seconds": round(time.monotonic() - started, 2), "key": key}
+        _write(place / STATE, state)
+    pool.shutdown()
+
+
+def _pool() -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(1, get_context("spawn"), initializer=_end_with_parent)
+
+
+def _end_with_parent() -> None:
+    """Do not go on in a folder that another run may use once the parent was killed."""
+    parent = parent_process()
+    assert parent is not None
+
+    def watch() -> None:
+        connection.wait([parent.sentinel])
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _run(words: list[str], log: str) -> int:
+    """Run the step with all that it says in a log."""
+    from eofm.app.cli import main
+
+    with open(log, "w", buffering=1) as file, contextlib.redirect_stderr(file):
+        try:
+            return main(words)
+        except SystemExit as error:
+            return error.code if isinstance(error.code, int) else 1
+        except Exception as error:
+            print(f"eofm sample: {type(error).__name__}: {error}", file=file)
+            return 1
+
+
+def _state(status: int | None, place: Path, log: Path) -> dict[str, Any]:
+    """What a row of the summary says of a sample."""
+    said = log.read_text() if log.exists() else ""
+    reason = " ".join(said.split()).removeprefix("eofm sample: ").removeprefix(f"{place.name}: ")
+    if status is None:
+        reason = f"its process ended (memory?); remove {place} to try again"
+        log.write_text(f"eofm sample: {place.name}: {reason}\n")
+        return {"state": "crashed", "reason": reason}
+    if status not in (DONE, NOT_TRUSTED):
+        return {"state": "unusable", "reason": reason}
+    summary = json.loads((place / "summary.json").read_text())
+    order = ("good", "doubtful", "failed")
+    trust = max(summary["trust"], key=lambda step: order.index(step["verdict"]))
+    figures = {
+        "width_px": summary["size_px"][0],
+        "height_px": summary["size_px"][1],
+        "u1_least_px": summary["u1_range_px"][0],
+        "u1_most_px": summary["u1_range_px"][1],
+        "u2_least_px": summary["u2_range_px"][0],
+        "u2_most_px": summary["u2_range_px"][1],
+        "axial_strain_mean": summary["axial_strain_mean"],
+        "forward_backward_error_median_px": summary["forward_backward_error_median_px"],
+    }
+    return {
+        "state": "done",
+        "reason": "; ".join(trust.get("reasons", [])),
+        "verdict": trust["verdict"],
+        **figures,
+    }
+
+
+def _has_results(place: Path, key: str) -> bool:
+    try:
+        state = json.loads((place / STATE).read_text())
+    except (OSError, ValueError):
+        return False
+    wanted = state.get("state") != "done" or (place / "summary.json").is_file()
+    return state.get("key") == key and state.get("state") != "crashed" and wanted
+
+
+def _clear(place: Path) -> None:
+    """Remove what an earlier run has left, so that nothing old is taken for new."""
+    (place / STATE).unlink(missing_ok=True)
+    from eofm.analysis.report import RESULTS
+
+    for name in RESULTS:
+        (place / name).unlink(missing_ok=True)
+
+
+def _key(words: list[str], files: list[str], made_by: list[str]) -> str:
+    read = {file: _checksum(file) for file in files}
+    return hashlib.sha256(json.dumps([words, read, made_by]).encode()).hexdigest()
+
+
+def _checksum(file: str) -> str:
+    with open(file, "rb") as opened:
+        return hashlib.file_digest(opened, "sha256").hexdigest()
+
+
+def _write(path: Path, state: dict[str, Any]) -> None:
+    temporary = path.with_suffix(".tmp")
+    temporary.write_text(json.dumps(state, indent=1) + "\n")
+    temporary.replace(path)
