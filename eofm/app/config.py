@@ -58,6 +58,18 @@ class Benchmark(Section):
 Renderer = Literal["bubbles", "brightest", "strained", "speckle", "oct"]
 
 
+class Robustness(Section):
+    """Pairs whose brightness, noise or speckle changes, and large motions."""
+
+    frames: tuple[str, ...] = Field((), description="real images that are moved, beside rendered")
+    size: int = Field(256, ge=48, description="sides of the images, px")
+    motion: Positive = Field(5.0, description="displacement at the bottom, px")
+    tools: tuple[str, ...] = Field(
+        ("dis", "deepflow", "ilk", "elastix"), description="other tools that see the same pairs"
+    )
+    seed: int = Field(11, ge=0, description="seed of the half for tuning; the other has the next")
+
+
 class Ensemble(Section):
     """Random phantoms on which all methods and tools are compared.
 
@@ -142,6 +154,7 @@ class Config(Section):
     identification: Identification = Identification()
     benchmark: Benchmark = Benchmark()
     ensemble: Ensemble = Ensemble()
+    robustness: Robustness = Robustness()
     studies: Studies = Studies()
     samples: str = Field("config/samples.tsv", description="table of your own image pairs (TSV)")
 

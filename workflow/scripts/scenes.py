@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-import eofm
 from eofm.grid import inside
 from eofm.imaging.gaussian import gaussians
 from eofm.imaging.splines import evaluate, evaluate_field
@@ -267,5 +266,3 @@ def large_motions(shape: tuple[int, int]) -> dict[str, Array]:
 
 
 RENDERERS = {"dense": dense, "sparse": sparse, "brightest": brightest, "coherent": coherent}
-
-__all__ = ["CONDITIONS", "RENDERERS", "Scene", "eofm", "frame", "large_motions", "rigid", "under"]

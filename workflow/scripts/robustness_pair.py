@@ -1,0 +1,91 @@
+"""Errors of one pair under all conditions: the preset, what it was, and other tools.
+
+Other tools get locally normalised images, without which none of them survives the conditions.
+"""
+
+from contextlib import redirect_stdout
+from pathlib import Path
+
+import numba
+import numpy as np
+import pandas as pd
+import peers
+import scenes
+from numpy.typing import NDArray
+
+import eofm
+from eofm import io
+from eofm.app.config import Robustness
+from eofm.imaging.intensity import normalise, normalise_locally
+
+Array = NDArray[np.float64]
+
+PRESETS = {
+    "preset": eofm.Estimation(),
+    "preset_plain": eofm.Estimation(robust=False),
+    "preset_local": eofm.Estimation(robust=False, local_window=8.0),
+}
+WINDOW = 20.0
+# Of bubbles per px in pairs of large motion.
+DENSITY = 0.03
+
+
+def pairs(settings: Robustness, name: str, half: str, frame: str | None) -> dict[str, scenes.Scene]:
+    """All conditions of a pair, from the one that changes nothing."""
+    seed = settings.seed + (half == "held")
+    shape = settings.size, settings.size
+    if name == "large":
+        motions = {"none": scenes.smooth_motion(shape, settings.motion, seed)}
+        motions |= scenes.large_motions(shape)
+        return {k: scenes.rigid(shape, u, DENSITY, seed) for k, u in motions.items()}
+    if frame is None:
+        clean = scenes.RENDERERS[name](shape, settings.motion, seed)
+    else:
+        image = io.read_image(Path(frame))
+        smaller = min(shape[0], image.shape[0]), min(shape[1], image.shape[1])
+        clean = scenes.frame(image, smaller, settings.motion, seed)
+    return {condition: scenes.under(clean, condition, seed) for condition in scenes.CONDITIONS}
+
+
+def measure(scene: scenes.Scene, tool: str) -> dict[str, float | str]:
+    """Mean error where there is signal, and what the estimate says of it."""
+    nothing = {"coverage_1": np.nan, "coverage_196": np.nan, "verdict": ""}
+    if tool not in PRESETS:
+        I1, I2 = (normalise_locally(I, (WINDOW, WINDOW)) for I in normalise(scene.I1, scene.I2))
+        u = peers.estimate(tool, I1, I2)
+        return {"error_px": np.nan if u is None else error(scene, u)} | nothing
+    found = eofm.estimate_displacement(scene.I1, scene.I2, PRESETS[tool])
+    off, deviation = np.abs(found.u - scene.u), found.deviation(16)
+
+    def within(k: float) -> float:
+        return float((off <= k * deviation)[:, scene.counted].mean())
+
+    coverage = {"coverage_1": within(1), "coverage_196": within(1.96)}
+    return {"error_px": error(scene, found.u)} | coverage | {"verdict": found.trust.verdict}
+
+
+def error(scene: scenes.Scene, u: Array) -> float:
+    """Mean length of the error where there is signal, px."""
+    return float(np.hypot(*(u - scene.u))[scene.counted].mean())
+
+
+def main() -> None:
+    """Write a row for each condition and tool."""
+    numba.set_num_threads(min(snakemake.threads, numba.config.NUMBA_NUM_THREADS))
+    settings = Robustness(**snakemake.params.robustness)
+    name, half = snakemake.wildcards.scene, snakemake.wildcards.half
+    frame = snakemake.input.get("frame")
+    rows = []
+    for tool in (*PRESETS, *settings.tools):
+        for condition, scene in pairs(settings, name, half, frame or None).items():
+            row = {"pair": name, "half": half, "condition": condition, "tool": tool}
+            rows.append(row | measure(scene, tool))
+            print(rows[-1])
+    table = pd.DataFrame(rows)
+    clean = table[table.condition == "none"].set_index("tool")["error_px"]
+    table.insert(5, "ratio_to_clean", table["error_px"] / table["tool"].map(clean))
+    io.write_table(Path(snakemake.output[0]), table)
+
+
+with Path(snakemake.log[0]).open("w") as log, redirect_stdout(log):
+    main()
