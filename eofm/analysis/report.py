@@ -50,7 +50,8 @@ def write_results(
     ``bubbles.csv``, ``summary.json``, ``provenance.json``, for sequences also
     ``increments.tif``, with an identified sample ``stiffness.tif`` and
     ``stiffness_deviation.tif`` (of log E), and the figures
-    ``pair``, ``displacement``, ``strain``, ``quality`` and ``stiffness`` as files of some ``kinds``: png, pdf.
+    ``pair``, ``displacement``, ``strain``, ``quality`` and ``stiffness`` as files of some
+    ``kinds``: png, pdf.
     What an earlier run left there and this one does not make is removed. All files appear
     together once the last one is complete, the summary at the very end.
     """
