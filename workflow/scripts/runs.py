@@ -24,11 +24,14 @@ def only_run(folder: Path) -> IO[str] | None:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         file.seek(0)
+        other = file.read().strip()
+        file.close()
         raise InputError(
-            f"another run (process {file.read().strip()}) is at work in {Path.cwd()}; wait for it,"
+            f"another run (process {other}) is at work in {Path.cwd()}; wait for it,"
             " or use another folder (--directory)"
         ) from None
     except OSError:  # a file system without locks
+        file.close()
         return None
     file.truncate(0)
     file.write(f"{os.getpid()}\n")

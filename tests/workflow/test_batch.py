@@ -1,0 +1,77 @@
+"""Many samples: rows in parts, rows that fail alone, and what is not computed again."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import eofm
+from eofm import io
+from eofm.errors import InputError
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "workflow/scripts"))
+from parts import parts
+from runs import only_run
+from sample_rows import run_rows
+
+
+def test_parts_hold_every_row_once_and_few_start():
+    samples = {f"s{n}": {"roi": "0 0 180 100"} for n in range(500)}
+    found = parts(samples)
+    assert [name for part in found for name in part] == list(samples)
+    assert len(found) <= 50
+    assert parts(dict(list(samples.items())[:3])) == [["s0"], ["s1"], ["s2"]]
+
+
+@pytest.mark.slow
+def test_an_edit_reruns_its_row_and_a_broken_row_costs_itself(tmp_path):
+    I1, I2, _ = eofm.make_phantom(np.zeros((2, 40, 60)), eofm.Phantom(count=60, seed=2))
+    io.write_image(tmp_path / "a.tif", I1)
+    io.write_image(tmp_path / "b.tif", I2)
+    files = [str(tmp_path / "a.tif"), str(tmp_path / "b.tif")]
+    words = ["--figures=none", "--error-bars=0", f"--reference={files[0]}"]
+    words += [f"--deformed={files[1]}"]
+    rows = {
+        name: {"words": [*words, *more], "files": files, "log": str(tmp_path / f"{name}.log")}
+        for name, more in {"one": [], "bad": ["--top=glued"], "two": []}.items()
+    }
+    folder = tmp_path / "results"
+
+    def run():
+        run_rows(rows, folder, [], 1)
+        states = {name: json.loads((folder / name / "state.json").read_text()) for name in rows}
+        times = {n: (folder / n / "summary.json").stat().st_mtime_ns for n in ("one", "two")}
+        return states, times
+
+    states, before = run()
+    assert {name: s["state"] for name, s in states.items()} == {
+        "one": "done",
+        "bad": "unusable",
+        "two": "done",
+    }
+    assert "glued" in states["bad"]["reason"]
+    rows["two"]["words"].append("--alpha=0.1")
+    _, after = run()
+    assert after["one"] == before["one"]
+    assert after["two"] > before["two"]
+
+
+def test_a_folder_has_one_run_and_kill_9_leaves_no_lock(tmp_path):
+    code = "import sys, pathlib, time, runs; k = runs.only_run(pathlib.Path(sys.argv[1]));"
+    code += "print('held', flush=True); time.sleep(60)"
+    scripts = str(Path(__file__).parents[2] / "workflow/scripts")
+    env = os.environ | {"PYTHONPATH": f"{scripts}:{Path(__file__).parents[2]}"}
+    command = [sys.executable, "-c", code, str(tmp_path)]
+    with subprocess.Popen(command, env=env, stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == b"held\n"
+        with pytest.raises(InputError, match=f"process {other.pid}"):
+            only_run(tmp_path)
+        other.kill()
+    held = only_run(tmp_path)
+    assert held is not None
+    held.close()
