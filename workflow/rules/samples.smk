@@ -7,13 +7,13 @@ PARTS = list(parts(SAMPLES))
 # The last step, so that what is wrong stands at the end; the others have run by then.
 rule samples:
     input:
-        f"{OWN}/summary.csv",
+        table=f"{OWN}/summary.csv",
         script=SCRIPTS / "samples_check.py",
     log:
         "logs/samples_check.log",
     localrule: True
     shell:
-        "python {input.script} {input[0]} > {log} 2>&1"
+        "python {input.script} {input.table} > {log} 2>&1"
 
 
 for number, names in enumerate(PARTS):
@@ -38,7 +38,7 @@ for number, names in enumerate(PARTS):
             mem_mb=memory(max(sizes)),
             runtime=minutes(sizes),
         params:
-            folder=OWN,
+            folder=lambda wildcards, output: str(Path(output[0]).parents[1]),
             rows={
                 name: {
                     "words": sample_words(SAMPLES[name]),
