@@ -2,7 +2,7 @@
 PYTHON ?= python3
 CORES ?= 2
 BIN := .venv/bin
-PYTEST := $(BIN)/python -m pytest --numprocesses $(CORES) --dist loadgroup
+PYTEST := $(BIN)/python -m pytest --numprocesses $(CORES) --dist loadfile --no-loadscope-reorder
 
 .PHONY: paper test quick check fuzz numbers clean
 

@@ -24,7 +24,7 @@ def folder(tmp_path_factory):
         ["forward", "--output", f["true.tif"], *sample, *disc],
         ["background", "--output", f["bg.tif"], *sample],
         ["phantom", f["true.tif"], "--reference", f["a.tif"], "--deformed", f["b.tif"]]
-        + ["--table", f["true.csv"], "--count", "60", "--sigma", "1.5", "2"],
+        + ["--table", f["true.csv"], "--count", "150", "--sigma", "1.5", "2"],
         [
             "track",
             f["a.tif"],

@@ -29,7 +29,7 @@ import numpy as np
 sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[2] / "workflow/scripts")]
 
 import seeds
-from commands import read_samples, sample_files, sample_options
+from commands import read_samples, sample_files, sample_words
 
 from eofm import io
 from eofm.errors import InputError
@@ -52,7 +52,7 @@ def read(kind: str, path: Path) -> None:
         io.read_settings(path)
     elif kind == ".tsv":
         for row in read_samples(str(path)).values():
-            assert "\n" not in sample_options(row).replace("'\n'", "")
+            assert all(word.startswith("--") for word in sample_words(row))
             sample_files(row)
     elif kind == "hdf5":
         # The command reads these in a child; without it a crash shows in this process.

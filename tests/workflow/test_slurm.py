@@ -17,7 +17,6 @@ MISSING = [tool for tool in TOOLS if shutil.which(tool, path=PATH) is None]
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.xdist_group("workflow"),
     pytest.mark.skipif(
         not NEEDED and (bool(MISSING) or os.geteuid() != 0),
         reason="wants Slurm, munge and root",

@@ -18,8 +18,8 @@ from eofm.io import read_field
 
 PARTS = ["Snakefile", "config", "workflow", "profiles", "eofm", "tests/small.yaml"]
 
-# One process runs them all, in any order, while others run the rest.
-pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("workflow")]
+
+pytestmark = pytest.mark.slow
 
 
 class Project:
