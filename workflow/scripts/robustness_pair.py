@@ -6,7 +6,6 @@ Other tools get locally normalised images, without which none of them survives t
 from contextlib import redirect_stdout
 from pathlib import Path
 
-import numba
 import numpy as np
 import pandas as pd
 import peers
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 import eofm
 from eofm import io
 from eofm.app.config import Robustness
+from eofm.compiled import use_threads
 from eofm.imaging.intensity import normalise, normalise_locally
 
 Array = NDArray[np.float64]
@@ -71,7 +71,7 @@ def error(scene: scenes.Scene, u: Array) -> float:
 
 def main() -> None:
     """Write a row for each condition and tool."""
-    numba.set_num_threads(min(snakemake.threads, numba.config.NUMBA_NUM_THREADS))
+    use_threads(snakemake.threads)
     settings = Robustness(**snakemake.params.robustness)
     name, half = snakemake.wildcards.scene, snakemake.wildcards.half
     frame = snakemake.input.get("frame")
