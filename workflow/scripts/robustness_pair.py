@@ -74,10 +74,10 @@ def main() -> None:
     use_threads(snakemake.threads)
     settings = Robustness(**snakemake.params.robustness)
     name, half = snakemake.wildcards.scene, snakemake.wildcards.half
-    frame = snakemake.input.get("frame")
+    frame = next(iter(snakemake.input.frame), None)
     rows = []
     for tool in (*PRESETS, *settings.tools):
-        for condition, scene in pairs(settings, name, half, frame or None).items():
+        for condition, scene in pairs(settings, name, half, frame).items():
             row = {"pair": name, "half": half, "condition": condition, "tool": tool}
             rows.append(row | measure(scene, tool))
             print(rows[-1])
