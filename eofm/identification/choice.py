@@ -7,7 +7,7 @@ import numpy as np
 
 from eofm.grid import Array
 from eofm.identification.folds import Folds
-from eofm.identification.inversion import Problem, Report, gauss_newton
+from eofm.identification.inversion import Inversion, Report, gauss_newton
 from eofm.settings import Identification
 
 # Ratio of weights that are compared.
@@ -40,9 +40,9 @@ class Prior:
     sharper: float = 0.0
 
     def fit(
-        self, problem: Problem, z: Array, settings: Identification, report: Report
-    ) -> tuple[Problem, Array]:
-        """Problem whose outlines are relaxed, if they are, and its minimiser, from ``z``."""
+        self, problem: Inversion, z: Array, settings: Identification, report: Report
+    ) -> tuple[Inversion, Array]:
+        """Inversion whose outlines are relaxed, if they are, and its minimiser, from ``z``."""
         z = gauss_newton(problem, z, self.gamma, settings, report)
         for _ in range(ROUNDS if self.sharper else 0):
             problem = problem.relaxed(z)
@@ -84,7 +84,7 @@ def clearly_better(a: Array, b: Array, clear: float) -> bool:
 
 
 def choose(
-    parts: Sequence[Problem], folds: Folds, settings: Identification, report: Report
+    parts: Sequence[Inversion], folds: Folds, settings: Identification, report: Report
 ) -> Choice:
     """Prior whose displacement predicts bubbles that were held out.
 
@@ -97,7 +97,7 @@ def choose(
 
     Parameters
     ----------
-    parts : sequence of Problem
+    parts : sequence of Inversion
         Without the bubbles of each part of the folds.
     folds : Folds
     """

@@ -27,7 +27,7 @@ Report = Callable[[float, int, float], object]
 
 
 @dataclass(frozen=True)
-class Problem:
+class Inversion:
     """The linearised images and the forward model.
 
     What is sought is a vector ``z``: m of each element, then the motion of the loose edges at
@@ -54,7 +54,7 @@ class Problem:
     edges: sp.csc_array
     weights: Array | float = 1.0
 
-    def relaxed(self, z: Array) -> "Problem":
+    def relaxed(self, z: Array) -> "Inversion":
         """Return the same with less weight of the prior where ``z`` has outlines.
 
         Total variation takes off the contrast of what it outlines. Weights ``1 / (1 + |grad m|
@@ -182,7 +182,7 @@ class Problem:
 
 
 def gauss_newton(
-    problem: Problem, z: Array, gamma: float, settings: Identification, report: Report
+    problem: Inversion, z: Array, gamma: float, settings: Identification, report: Report
 ) -> Array:
     """Minimiser for one weight, started from ``z``.
 

@@ -28,7 +28,7 @@ from eofm.flow.known import Known
 from eofm.grid import FACES, Array, Edge, Mask, componentwise, unit_spacing
 from eofm.identification.choice import NONE, Choice, choose, clearly_better
 from eofm.identification.folds import Folds
-from eofm.identification.inversion import LARGEST, Problem, Report, gauss_newton
+from eofm.identification.inversion import LARGEST, Inversion, Report, gauss_newton
 from eofm.imaging.gaussian import blur
 from eofm.imaging.splines import gradient, resize
 from eofm.settings import Estimation, Identification, Sample
@@ -66,7 +66,7 @@ class Stiffness:
         What held-out bubbles say.
     z : ndarray
         What was sought.
-    problem : Problem
+    problem : Inversion
         What it minimises, for error bars, see `eofm.identification.uncertainty`.
     scale : float
         Factor of the stated motion of the edges that the images ask for; 1 where they do
@@ -84,7 +84,7 @@ class Stiffness:
     estimate: Estimate
     choice: Choice
     z: Array
-    problem: Problem
+    problem: Inversion
     scale: float = 1.0
     rounds: int = 0
     change: float = np.inf
@@ -248,7 +248,7 @@ class Setup:
         spacing = unit_spacing(self.pixel_size)
         return Elastic(self.sample, motion, cell, spacing, self.loose)
 
-    def problems(self, estimate: Estimate, masks: Sequence[Mask]) -> list[Problem]:
+    def problems(self, estimate: Estimate, masks: Sequence[Mask]) -> list[Inversion]:
         """One for each mask of pixels that are seen."""
         model, match = self.model, estimate.match
         correction = np.zeros_like(self.u_bg)
@@ -266,7 +266,7 @@ class Setup:
         for mask in masks:
             data = match.density(np.zeros_like(self.u_bg), mask)
             scaled = Pointwise(data.A / match.noise**2, data.b / match.noise**2)
-            problems.append(Problem(model, correction, scaled, self.settings.epsilon, hats))
+            problems.append(Inversion(model, correction, scaled, self.settings.epsilon, hats))
         return problems
 
     def choose(self, estimate: Estimate, report: Report) -> tuple[Choice, str]:
@@ -299,7 +299,9 @@ class Setup:
         elastic = whole.u(whole.state(z)) / self.h
         return Stiffness(np.exp(log_E), elastic, estimate, choice, z, whole)
 
-    def first(self, problem: Problem, estimate: Estimate, choice: Choice, report: Report) -> Array:
+    def first(
+        self, problem: Inversion, estimate: Estimate, choice: Choice, report: Report
+    ) -> Array:
         """The better of two starts: what a fold found, and what strains suggest."""
         gamma, found = choice.prior.gamma, choice.z[0]
         if gamma >= NONE:
