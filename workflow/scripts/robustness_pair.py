@@ -54,7 +54,11 @@ def measure(scene: scenes.Scene, tool: str) -> dict[str, float | str]:
         I1, I2 = (normalise_locally(I, (WINDOW, WINDOW)) for I in normalise(scene.I1, scene.I2))
         u = peers.estimate(tool, I1, I2)
         return {"error_px": np.nan if u is None else error(scene, u)} | nothing
-    found = eofm.estimate_displacement(scene.I1, scene.I2, PRESETS[tool])
+    try:
+        found = eofm.estimate_displacement(scene.I1, scene.I2, PRESETS[tool])
+    except eofm.InputError as refusal:
+        print(f"{tool}: {refusal}")
+        return {"error_px": np.nan} | nothing | {"verdict": "refused"}
     off, deviation = np.abs(found.u - scene.u), found.deviation(16)
 
     def within(k: float) -> float:
