@@ -145,7 +145,7 @@ class Window:
         np.maximum(self.share, 1e-6, out=self.share)
 
     def mean(self, f: Array, *factors: Array) -> Array:
-        """The average around each pixel of f, or of its product with others; of the mask's shape."""
+        """The average around each pixel of f, or of the product of several; of the mask's shape."""
         mean = self._sum(f, *factors)
         mean /= self.share
         return mean
