@@ -198,6 +198,13 @@ def _plane(c, j3, j2, j1, w1, d1, w2, d2):
 
 
 @njit
+def _column(c, j3, j2, j1, w2):
+    """Value along a column of coefficients."""
+    p, q, r, s = c[j3, j2, j1], c[j3, j2 + 1, j1], c[j3, j2 + 2, j1], c[j3, j2 + 3, j1]
+    return w2[0] * p + w2[1] * q + w2[2] * r + w2[3] * s
+
+
+@njit
 def _single(w):
     return np.float32(w[0]), np.float32(w[1]), np.float32(w[2]), np.float32(w[3])
 
@@ -205,6 +212,7 @@ def _single(w):
 @compiled
 def _sample_slices(first, last, values, gradients, inside, c, u, step):
     n, m, l = c.shape[0] - 3, c.shape[1] - 3, c.shape[2] - 3
+    row = np.empty(4, c.dtype)
     for h in range(first, last):
         for i in range(values.shape[1]):
             for k in range(values.shape[2]):
@@ -212,18 +220,29 @@ def _sample_slices(first, last, values, gradients, inside, c, u, step):
                 x3 = u[2, h, i, k] + step * h
                 inside[h, i, k] = 0 <= x1 <= l - 1 and 0 <= x2 <= m - 1 and 0 <= x3 <= n - 1
                 (j1, t1), (j2, t2), (j3, t3) = _locate(x1, l), _locate(x2, m), _locate(x3, n)
-                (w1, d1), (w2, d2), (w, d) = _weights(t1), _weights(t2), _weights(t3)
+                (w1, d1), (w2, d2), (w3, d3) = _weights(t1), _weights(t2), _weights(t3)
                 w1, d1, w2, d2 = _single(w1), _single(d1), _single(w2), _single(d2)
-                w, d = _single(w), _single(d)
+                w3, d3 = _single(w3), _single(d3)
+                if not gradients.shape[0]:
+                    for p in range(4):
+                        q, r = _column(c, j3, j2, j1 + p, w2), _column(c, j3 + 1, j2, j1 + p, w2)
+                        s, t = (
+                            _column(c, j3 + 2, j2, j1 + p, w2),
+                            _column(c, j3 + 3, j2, j1 + p, w2),
+                        )
+                        row[p] = w3[0] * q + w3[1] * r + w3[2] * s + w3[3] * t
+                    values[h, i, k] = (
+                        w1[0] * row[0] + w1[1] * row[1] + w1[2] * row[2] + w1[3] * row[3]
+                    )
+                    continue
                 p0, a0, b0 = _plane(c, j3, j2, j1, w1, d1, w2, d2)
                 p1, a1, b1 = _plane(c, j3 + 1, j2, j1, w1, d1, w2, d2)
                 p2, a2, b2 = _plane(c, j3 + 2, j2, j1, w1, d1, w2, d2)
                 p3, a3, b3 = _plane(c, j3 + 3, j2, j1, w1, d1, w2, d2)
-                values[h, i, k] = w[0] * p0 + w[1] * p1 + w[2] * p2 + w[3] * p3
-                if gradients.shape[0]:
-                    gradients[0, h, i, k] = w[0] * a0 + w[1] * a1 + w[2] * a2 + w[3] * a3
-                    gradients[1, h, i, k] = w[0] * b0 + w[1] * b1 + w[2] * b2 + w[3] * b3
-                    gradients[2, h, i, k] = d[0] * p0 + d[1] * p1 + d[2] * p2 + d[3] * p3
+                values[h, i, k] = w3[0] * p0 + w3[1] * p1 + w3[2] * p2 + w3[3] * p3
+                gradients[0, h, i, k] = w3[0] * a0 + w3[1] * a1 + w3[2] * a2 + w3[3] * a3
+                gradients[1, h, i, k] = w3[0] * b0 + w3[1] * b1 + w3[2] * b2 + w3[3] * b3
+                gradients[2, h, i, k] = d3[0] * p0 + d3[1] * p1 + d3[2] * p2 + d3[3] * p3
 
 
 def sample(values: Array, gradients: Array, inside: Mask, c: Array, u: Array, step: float) -> None:
