@@ -49,9 +49,13 @@ class Spline:
 
         Points outside the image take the value of the nearest point of its border.
         """
-        points = np.asarray(x, np.float64).reshape(self.ndim, -1, *[1] * (self.ndim - 1))
-        values, _, _ = self._sample(points, 0.0, 0)
+        values, _, _ = self._sample(self._points(x), 0.0, 0)
         return values.reshape(x.shape[1:])
+
+    def evaluate_with_gradient(self, x: Array) -> tuple[Array, Array]:
+        """Values at points, and the gradient there, of the shape of x."""
+        values, gradients, _ = self._sample(self._points(x), 0.0, self.ndim)
+        return values.reshape(x.shape[1:]), gradients.reshape(x.shape)
 
     def warp(self, u: Array, out: Array | None = None) -> tuple[Array, Mask]:
         """The image ``I(x + u(x))``, and where ``x + u(x)`` lies inside of ``I``.
@@ -75,6 +79,9 @@ class Spline:
         sides = zip(self.shape, shape, strict=True)
         resample(J, self.c, [_terms(old, new, self.odd) for old, new in sides])
         return J
+
+    def _points(self, x: Array) -> Array:
+        return np.asarray(x, np.float64).reshape(self.ndim, -1, *[1] * (self.ndim - 1))
 
     def _sample(
         self, u: Array, step: float, components: int, out: Array | None = None
