@@ -53,7 +53,10 @@ SINGULAR = {np.dtype(np.float64): 1e-13, np.dtype(np.float32): 1e-7}
 ALIKE = math.sqrt(2) + 1e-6
 # Steps of the smoother below and above this contrast, and coarse corrections per cycle.
 # The fourth order needs more of each; between sharp bubbles it is stiff on small scales.
-CYCLE = {"gradient": (2, 4, 1), "bending": (3, 12, 2)}
+CYCLE = {
+    2: {"gradient": (2, 4, 1), "bending": (3, 12, 2)},
+    3: {"gradient": (2, 4, 1), "bending": (5, 12, 1)},
+}
 
 
 class NotConverged(InputError):  # noqa: N818 - says it all
@@ -254,7 +257,7 @@ def hierarchy(F: Quadratic) -> Level | Coarsest:
     operator = finest(F)
     stiffness, area = _stiffness(operator)
     A, free, own = operator.A, operator.free, operator.A.dtype
-    degree, high_degree, visits = CYCLE[F.smoothness]
+    degree, high_degree, visits = CYCLE[free.ndim][F.smoothness]
     trace = sum(a for a, (i, j) in zip(A, pairs(F.grid.ndim), strict=True) if i == j)
     contrast = np.max(trace, where=free, initial=0.0) / stiffness
     del trace
