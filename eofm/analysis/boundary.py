@@ -81,7 +81,7 @@ def parse_edge(
         return EdgeState(outside, None)
     if kind == "fixed":
         return EdgeState(outside, np.zeros((2, 1)))
-    motion = _motion(edge, words[1:], FACES[edge].along(shape), pixel_size)
+    motion = _motion(edge, words[1:], FACES[edge].sides(shape)[0], pixel_size)
     for i, size in enumerate(shape[::-1]):
         if abs(motion[i]).max() >= size:
             raise InputError(

@@ -12,7 +12,7 @@ from eofm.analysis.boundary import EdgeState, Place, parse_edge
 from eofm.elasticity.forward import deform
 from eofm.errors import InputError
 from eofm.flow.known import Known
-from eofm.grid import FACES, Array, Edge
+from eofm.grid import FACES, Array, Edge, faces
 from eofm.settings import Pair, Region, Sample
 
 # Corners farther away than this, px, and samples larger than so many regions, are mistakes.
@@ -79,7 +79,7 @@ def read_scene(pair: Pair) -> Scene:
         plane=pair.plane,
         compression=0.0,
     )
-    texts = {edge: getattr(pair, edge) for edge in FACES}
+    texts = {edge: getattr(pair, edge) for edge in faces(2)}
     states = {e: parse_edge(e, text, sample.shape, pair.pixel_size) for e, text in texts.items()}
     edges: dict[Edge, Array] = {}
     beyond: list[Edge] = []

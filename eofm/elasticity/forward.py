@@ -24,7 +24,7 @@ from skfem import (
 )
 from skfem.helpers import ddot, div, sym_grad
 
-from eofm.grid import FACES, Array, Edge, Grid, along_edge, componentwise, unit_spacing
+from eofm.grid import FACES, Array, Edge, Grid, along_face, componentwise, unit_spacing
 from eofm.settings import Forward, Sample
 
 Spacing = tuple[float, float]
@@ -256,7 +256,7 @@ def _solve(
         on = np.flatnonzero(FACES[edge].distance(x, pixels) == 0)
         other = 1 - FACES[edge].component
         along = x[other, on] / pixels.lengths[other]
-        prescribed[nodes[:, on]] = sides * along_edge(g, along)
+        prescribed[nodes[:, on]] = sides * along_face(g, along)
         if slip:
             middle = on[[np.abs(along - 0.5).argmin()]]
             dofs += [nodes[1, on], *([nodes[0, middle]] if not dofs else [])]
@@ -278,7 +278,7 @@ def _missed(u: Array, motion: dict[Edge, Array], slip: bool) -> float:
 
     def difference(edge: Edge, g: Array) -> Array:
         there = u[:, *FACES[edge].pixels()]
-        return there - along_edge(g, np.linspace(0, 1, there.shape[1]))
+        return there - along_face(g, np.linspace(0, 1, there.shape[1]))
 
     return max(np.abs(difference(edge, g)[int(slip) :, 1:-1]).max() for edge, g in motion.items())
 

@@ -18,7 +18,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from eofm.elasticity.forward import lame
-from eofm.grid import FACES, Array, Edge, along_edge
+from eofm.grid import FACES, Array, Edge, along_face
 from eofm.settings import Sample
 
 # Part of the mean diagonal that is added to a band matrix; it decides what nothing else does.
@@ -109,7 +109,7 @@ class Elastic:
         fixed, values = np.zeros(2 * node.size, dtype=bool), np.zeros(2 * node.size)
         for number, (edge, g) in enumerate(self.motion.items()):
             on = node[FACES[edge].pixels()]
-            along = along_edge(g, np.linspace(0, 1, len(on)))
+            along = along_face(g, np.linspace(0, 1, len(on)))
             middle = slice(len(on) // 2, len(on) // 2 + (number == 0))
             for i in (0, 1):
                 part = middle if slip and i == 0 else slice(None)

@@ -12,7 +12,7 @@ from eofm.flow.matching import ImagePair, Match
 from eofm.flow.multigrid import multigrid
 from eofm.flow.pyramid import pyramid, sampled, solving
 from eofm.flow.weight import choose_alpha, combined, enough, first_alpha
-from eofm.grid import FACES, Array, Edge, Grid, Mask, along_edge, componentwise, unit_spacing
+from eofm.grid import FACES, Array, Edge, Grid, Mask, along_face, componentwise, faces, unit_spacing
 from eofm.imaging.intensity import defects, filled, normalise, normalise_locally
 from eofm.imaging.splines import evaluate_field, resize, resize_field
 from eofm.settings import Estimation
@@ -242,10 +242,10 @@ def _prescribed(grid: Grid, edges: dict[Edge, Array]) -> tuple[Array, NDArray[np
 def _on_edges(grid: Grid, edges: dict[Edge, Array]) -> dict[Edge, Array]:
     """Profiles along edges sampled on a grid, in the order in which they own corners."""
     sampled = {}
-    for edge, face in FACES.items():
+    for edge, face in faces(grid.ndim).items():
         if edge in edges:
-            part = np.linspace(0, 1, face.along(grid.shape))
-            sampled[edge] = along_edge(edges[edge], part)
+            parts = (np.linspace(0, 1, n) for n in face.sides(grid.shape))
+            sampled[edge] = along_face(edges[edge], *parts)
     return sampled
 
 
@@ -253,6 +253,7 @@ def _weights(
     grid: Grid, x: Array, known: dict[Edge, Array], settings: Estimation, sigma: float
 ) -> NDArray[np.float64]:
     """The weights beta_i, raised near edges whose motion is not known."""
-    near = [face.distance(x, grid) < 2 * sigma for edge, face in FACES.items() if edge not in known]
+    unknown = (face for edge, face in faces(grid.ndim).items() if edge not in known)
+    near = [face.distance(x, grid) < 2 * sigma for face in unknown]
     factor = np.where(np.any(near, axis=0), settings.edge_bubbles, 1.0) if near else 1.0
     return settings.beta * np.broadcast_to(factor, x.shape[1:])

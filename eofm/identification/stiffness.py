@@ -25,7 +25,7 @@ from eofm.errors import InputError
 from eofm.flow.estimate import Estimate, estimate_displacement
 from eofm.flow.functional import Pointwise
 from eofm.flow.known import Known
-from eofm.grid import FACES, Array, Edge, Mask, componentwise, unit_spacing
+from eofm.grid import FACES, Array, Edge, Mask, componentwise, faces, unit_spacing
 from eofm.identification.choice import NONE, Choice, choose, clearly_better
 from eofm.identification.folds import Folds
 from eofm.identification.inversion import LARGEST, Inversion, Report, gauss_newton
@@ -176,7 +176,7 @@ def identify_stiffness(
 
     stated = dict(known.edges) or (press(sample) if not known.outside else {})
     if known.outside or not move_differently(stated):
-        loose: tuple[Edge, ...] = known.outside or tuple(FACES)
+        loose: tuple[Edge, ...] = known.outside or tuple(faces(2))
         loose = tuple(edge for edge in loose if edge not in known.edges)
         scale, u_bg = 1.0, known.background
         u_bg = np.zeros((2, *I1.shape)) if u_bg is None else u_bg
