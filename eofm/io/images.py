@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eofm.errors import InputError
-from eofm.grid import Array
+from eofm.grid import Array, precision
 from eofm.io.formats import read_array
 from eofm.io.scan import Scan
 from eofm.io.tiff import write_tiff
@@ -60,7 +60,8 @@ def read_scan(path: Path, ndim: int | None = None) -> Scan:
             f" {path}#0, give the file as frames, or save it with the axes ZYX"
         )
     if wrong or values.ndim > 3:
-        said = ", ".join(f"{n} {MEANINGS[a]}" for n, a in zip(values.shape, axes[:-2]))
+        pages = zip(values.shape[:-2], axes[:-2], strict=True)
+        said = ", ".join(f"{n} {MEANINGS[a]}" for n, a in pages)
         raise InputError(f"{path}: holds {said}; save one image or volume (axes YX or ZYX)")
     if ndim not in (None, values.ndim):
         raise InputError(f"{path}: is {NAMES[values.ndim]} where {NAMES[3]} is wanted")
@@ -114,9 +115,7 @@ def read_pair(reference: Path, deformed: Path, ndim: int | None = None) -> tuple
     return first.values, second.values
 
 
-def read_field(
-    path: Path, shape: tuple[int, ...] | None = None, ndim: int | None = None
-) -> Array:
+def read_field(path: Path, shape: tuple[int, ...] | None = None, ndim: int | None = None) -> Array:
     """Read a displacement field, px, shape (2, height, width) or (3, depth, height, width).
 
     Raises
@@ -142,7 +141,8 @@ def read_field(
         )
     if ndim not in (None, u.ndim - 1):
         raise InputError(
-            f"{path}: is the field of {NAMES[u.ndim - 1]} where that of {NAMES[ndim or 2]} is wanted"
+            f"{path}: is the field of {NAMES[u.ndim - 1]} where that of {NAMES[6 - u.ndim]} is"
+            " wanted"
         )
     return _finite(path, u, u.ndim - 1)
 
@@ -201,7 +201,7 @@ def _finite(path: Path, values: NDArray, ndim: int) -> Array:
     if not numeric:
         raise InputError(f"{path}: holds {values.dtype} values; save real numbers")
     with np.errstate(over="ignore"):  # what is beyond single precision is infinite, and refused
-        values = values.astype(np.float32 if ndim > 2 else np.float64, copy=False)
+        values = values.astype(precision(ndim), copy=False)
     # Page by page: a volume's truth values alone would be many.
     if all(np.isfinite(page).all() for page in values.reshape(-1, *values.shape[-2:])):
         return values
@@ -209,8 +209,7 @@ def _finite(path: Path, values: NDArray, ndim: int) -> Array:
     names = ("slice", "row", "column")[-ndim:]
     place = ", ".join(f"{name} {n}" for name, n in zip(names, bad[0][-ndim:], strict=True))
     raise InputError(
-        f"{path}: {len(bad)} values are NaN or infinite, the first at {place};"
-        " replace or crop them"
+        f"{path}: {len(bad)} values are NaN or infinite, the first at {place}; replace or crop them"
     )
 
 

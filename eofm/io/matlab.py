@@ -1,7 +1,8 @@
 """MATLAB files: arrays of numbers.
 
-Those of MATLAB 7.3 are HDF5. Of those before, SciPy's reader trusts the lengths that a
-file states and may end the process with it. This one reads full arrays of numbers only, checks every length, and so cannot.
+Those of MATLAB 7.3 are HDF5. Of those before, SciPy's reader trusts the lengths that a file
+states and may end the process with it. This one reads full arrays of numbers only, checks every
+length, and so cannot.
 
 The format: "MAT-File Format", The MathWorks, level 5.
 """

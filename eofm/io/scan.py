@@ -1,5 +1,6 @@
 """What a file holds: an array, the meaning of its axes, and how far apart its pixels are."""
 
+import logging
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -8,6 +9,8 @@ from typing import NamedTuple
 from numpy.typing import NDArray
 
 from eofm.errors import InputError
+
+logger = logging.getLogger("eofm")
 
 # Array axes of the components, lateral first, and how settings call the sides of a pixel.
 AXES = "XYZ"
@@ -104,6 +107,8 @@ def pixel_size(
 ) -> PixelSize | None:
     """Sides of the pixels of images: those that are given, or those that the files state.
 
+    The log says what was taken from a file.
+
     Parameters
     ----------
     scans : mapping
@@ -139,10 +144,11 @@ def pixel_size(
     for c, side in enumerate(sides):
         if side is None:
             raise InputError(
-                f"{SIZES[c]}: is not known, while {SIZES[_first(sides)]} is; give both, um"
+                f"{SIZES[c]}: is not known, while another side of the pixels is (from"
+                f" {', '.join(sources)}); give it too, um"
             )
-    return PixelSize(tuple(side for side in sides if side is not None), ", ".join(sources))
-
-
-def _first(sides: Sequence[float | None]) -> int:
-    return next(c for c, side in enumerate(sides) if side is not None)
+    found = PixelSize(tuple(side for side in sides if side is not None), ", ".join(sources))
+    if not set(sources) <= set(SIZES):
+        words = " x ".join(f"{side:g}" for side in found.sides)
+        logger.info(f"pixels of {words} um, from {found.source}")
+    return found

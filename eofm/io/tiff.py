@@ -127,10 +127,10 @@ def _sizes(tiff: Any) -> dict[str, float]:
     page = tiff.pages[0]
     if tiff.is_ome:
         image = PIXELS.search(page.description or "")
-        said = {(a, u): v for a, u, v in PHYSICAL.findall(image[0] if image else "")}
+        sides = {a + u: v for a, u, v in PHYSICAL.findall(image[0] if image else "")}
         sizes: dict[str, float] = {}
-        for axis in (a for a in AXES if (a, "") in said):
-            sizes |= micrometres({axis: said[axis, ""]}, said.get((axis, "Unit"), "um"))
+        for axis in (axis for axis in AXES if axis in sides):
+            sizes |= micrometres({axis: sides[axis]}, sides.get(f"{axis}Unit", "um"))
         return sizes
     if not tiff.is_imagej:
         return {}

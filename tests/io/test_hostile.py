@@ -51,7 +51,7 @@ def test_matlab_arrays_are_what_scipy_wrote(tmp_path, kind, compressed, shape):
     A = (np.random.default_rng(0).normal(size=shape) * 50).astype(kind)
     others = {"name": "a text", "cell": {"a": 1}}
     savemat(tmp_path / "A.mat", {"A": A} | others, do_compression=compressed)
-    read = io.formats.read_array(tmp_path / "A.mat#A")
+    read = io.formats.read_array(tmp_path / "A.mat#A").values
     np.testing.assert_array_equal(read, np.moveaxis(A, -1, 0) if len(shape) == 3 else A)
     assert read.dtype == A.dtype
 
