@@ -105,9 +105,9 @@ class Section(BaseModel):
         for name in self.widths:
             width = getattr(self, name)
             if width is not None and width > max(shape):
-                raise InputError(
-                    f"{name}: {width:g} px is wider than the image, {shape[1]} x {shape[0]} px"
-                )
+                what = "image" if len(shape) == 2 else "volume"
+                sides = " x ".join(str(n) for n in shape[::-1])
+                raise InputError(f"{name}: {width:g} px is wider than the {what}, {sides} px")
 
     def changed(self, **values: Any) -> Self:
         """Return the same settings with other values of some keys, checked like all others."""

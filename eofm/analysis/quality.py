@@ -31,7 +31,7 @@ def data_share(
     smoothness: str,
     alpha: float,
     width: float,
-    spacing: tuple[float, float],
+    spacing: tuple[float, ...],
     dead: NDArray[np.bool_],
 ) -> Array:
     """Share of the data in the weaker direction of the estimate, from 0 to 1.

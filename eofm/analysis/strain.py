@@ -12,7 +12,7 @@ from eofm.grid import Array
 FILTER = "local linear least squares with Gaussian weights"
 
 
-def strain(u: Array, pixel_size: tuple[float, float], window: float) -> Array:
+def strain(u: Array, pixel_size: tuple[float, ...], window: float) -> Array:
     """Linearised strain of a displacement field.
 
     Parameters

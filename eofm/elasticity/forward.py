@@ -27,7 +27,7 @@ from skfem.helpers import ddot, div, sym_grad
 from eofm.grid import FACES, Array, Edge, Grid, along_face, componentwise, unit_spacing
 from eofm.settings import Forward, Sample
 
-Spacing = tuple[float, float]
+Spacing = tuple[float, ...]
 
 # Cells, along each side of a square, of the meshes of homogeneous samples; each is finer by
 # RATIO. The last one is as large as a profile of motion that is rough ever gets.
@@ -102,7 +102,7 @@ def deform(
     motion: dict[Edge, Array],
     *,
     error: float = 1e-3,
-    pixel_size: tuple[float, float] = (1.0, 1.0),
+    pixel_size: Spacing = (1.0, 1.0),
     slip: bool = False,
 ) -> Array:
     """Displacement of a homogeneous sample some of whose edges move in a known way.

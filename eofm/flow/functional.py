@@ -35,6 +35,12 @@ def pairs(ndim: int) -> list[tuple[int, int]]:
     return list(combinations_with_replacement(range(ndim), 2))
 
 
+def unit(v: Array) -> Array:
+    """Entries of the identity, to be added to those of matrices that act on a field."""
+    entries = [float(i == j) for i, j in pairs(len(v))]
+    return np.reshape(np.asarray(entries, v.dtype), (-1, *[1] * len(v)))
+
+
 @dataclass(frozen=True)
 class Pointwise:
     """Density of a quadratic term without derivatives, ``v . A v - 2 v . b``.
