@@ -485,15 +485,35 @@ class Measures(Section):
     )
 
 
-class Pair(Measures):
+Side = Annotated[float, Field(ge=1e-6, le=1e9)]
+
+
+class Scale(Section):
+    """The sides of a pixel; what is left open is taken from the images' files."""
+
+    lateral_size: Side | None = Field(
+        None, description="width of a pixel, um; none: what the images' files say"
+    )
+    axial_size: Side | None = Field(None, description="height of a pixel, um; none: the same")
+    elevational_size: Side | None = Field(
+        None, description="distance of the slices of a volume, um; none: the same"
+    )
+
+    @property
+    def sides(self) -> tuple[float | None, ...]:
+        """Lateral, axial and elevational side of a pixel, um."""
+        return self.lateral_size, self.axial_size, self.elevational_size
+
+
+class Pair(Measures, Scale):
     """A pair of images, or a sequence, and what is known of the sample."""
 
     reference: FileName | None = Field(
         None,
-        description="image before compression: TIFF, PNG, NumPy or MATLAB;"
+        description="image or volume before compression: TIFF, NumPy, MATLAB, HDF5 and others;"
         " FILE#3 is page 3 of a stack, FILE#name a variable",
     )
-    deformed: FileName | None = Field(None, description="image after compression")
+    deformed: FileName | None = Field(None, description="image or volume after compression")
     frames: FileName | None = Field(
         None, description="instead of both: a stack of frames; edges move by this much in each step"
     )
@@ -508,8 +528,6 @@ class Pair(Measures):
         description="dead zones without data: an image that is not 0 there, or the corners"
         " of a polygon, 'x1,x2 x1,x2 x1,x2', px of the whole image",
     )
-    lateral_size: Positive = Field(1.0, description="width of a pixel, um")
-    axial_size: Positive = Field(1.0, description="height of a pixel, um")
     top: str = Field(
         "free",
         description=f"{EDGE_WORDS}: px unless the word um follows; FILE is a table of u1, u2 in px,"
@@ -530,11 +548,6 @@ class Pair(Measures):
     figures: Literal["none", "png", "all"] = Field(
         "png", description="figures to draw: none, PNG, or all (PNG and PDF)"
     )
-
-    @property
-    def pixel_size(self) -> tuple[float, float]:
-        """Lateral and axial side of a pixel, um."""
-        return self.lateral_size, self.axial_size
 
     @property
     def files(self) -> list[str]:

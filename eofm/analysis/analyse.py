@@ -339,6 +339,8 @@ def _summary(
     return {
         "size_px": [u.shape[2], u.shape[1]],
         "pixel_size_um": list(pixel_size),
+        # Equal sides of 1 are what `Known` has where nobody says anything.
+        "pixel_size_from": "known" if set(pixel_size) != {1.0} else None,
         "steps": len(steps),
         "bubbles": [len(step.bubbles) for step in steps],
         "bubble_quality_median": float(
