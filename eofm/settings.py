@@ -455,6 +455,9 @@ class Measures(Section):
     strain_window: Positive | None = Field(
         None, description="Gaussian window of the strain's local linear fits, um; none: 3 px"
     )
+    strain_measure: Literal["small", "green-lagrange", "almansi", "hencky"] = Field(
+        "small", description="small strain, or a measure of large ones"
+    )
     error_bars: int = Field(
         16, ge=0, le=10_000, description="samples for the standard deviations; 0 leaves them out"
     )

@@ -1,10 +1,11 @@
 """Strain from displacement."""
 
-from itertools import combinations
+from collections.abc import Callable
 
 import numpy as np
 from scipy import ndimage
 
+from eofm.analysis.tensors import Measure, measured, pairs
 from eofm.errors import InputError
 from eofm.grid import Array
 
@@ -12,23 +13,28 @@ from eofm.grid import Array
 FILTER = "local linear least squares with Gaussian weights"
 
 
-def strain(u: Array, pixel_size: tuple[float, float], window: float) -> Array:
-    """Linearised strain of a displacement field.
+def strain(
+    u: Array, pixel_size: tuple[float, ...], window: float, measure: Measure = "small"
+) -> Array:
+    """Strain of a displacement field.
 
     Parameters
     ----------
-    u : ndarray, shape (2, height, width)
+    u : ndarray, shape (2, height, width) or (3, depth, height, width)
         Displacement, px.
-    pixel_size : (lateral, axial)
+    pixel_size : (lateral, axial) or (lateral, axial, elevational)
         Sides of a pixel, um.
     window : float
         Standard deviation of the Gaussian weights, um.
+    measure : {"small", "green-lagrange", "almansi", "hencky"}
+        See `eofm.analysis.tensors`.
 
     Returns
     -------
-    ndarray, shape (3, height, width)
-        ``e11 = d1 u1`` (lateral), ``e22 = d2 u2`` (axial; negative under compression) and
-        ``e12 = (d1 u2 + d2 u1) / 2`` (shear), without unit.
+    ndarray, shape (3, height, width) or (6, depth, height, width)
+        e11 (lateral), e22 (axial; negative under compression), e33 (elevational), then the shear
+        strains e12, e13, e23, without unit. Of small strains, ``e11 = d1 u1`` and
+        ``e12 = (d1 u2 + d2 u1) / 2``.
 
     Raises
     ------
@@ -57,9 +63,15 @@ def strain(u: Array, pixel_size: tuple[float, float], window: float) -> Array:
             f = _mean(f, n - 1 - k, widths[k])
         return _slope(f, n - 1 - j, widths[j]) * (pixel_size[i] / pixel_size[j])
 
-    normal = [derivative(i, i) for i in range(n)]
-    shear = [(derivative(j, i) + derivative(i, j)) / 2 for i, j in combinations(range(n), 2)]
-    return np.stack(normal + shear)
+    if measure == "small":
+        return np.stack([_symmetric(derivative, i, j) for i, j in pairs(n)])
+    G = np.stack([np.stack([derivative(i, j) for j in range(n)]) for i in range(n)])
+    return measured(G, measure)
+
+
+def _symmetric(derivative: Callable[[int, int], Array], i: int, j: int) -> Array:
+    """A component of small strain, without the whole gradient in the memory."""
+    return derivative(i, i) if i == j else (derivative(j, i) + derivative(i, j)) / 2
 
 
 def _sum(f: Array, axis: int, width: float) -> Array:
