@@ -537,8 +537,13 @@ class Pair(Measures):
 class Figures(Section):
     """How the figures look."""
 
-    pixel_size: tuple[Positive, Positive] = Field(
-        (5.0, 5.0), description="lateral and axial side of a pixel, um"
+    pixel_size: tuple[Positive, Positive] | tuple[Positive, Positive, Positive] = Field(
+        (5.0, 5.0), description="lateral, axial (and elevational) side of a pixel, um"
     )
+    unit: Literal["um", "px"] = Field("um", description="of positions and displacements")
     levels: int = Field(12, ge=2, le=50, description="number of level lines in a panel")
     dpi: int = Field(200, ge=50, le=1200, description="resolution of the PNG files, dots per inch")
+
+    def sides(self, ndim: int) -> tuple[float, ...]:
+        """Sides of a pixel of an image, or of a voxel, um; as deep as it is wide by default."""
+        return (*self.pixel_size, self.pixel_size[0])[:ndim]

@@ -201,7 +201,7 @@ def analyse(
             total[:, *on] = sum(s.estimate.u[:, *on] for s in steps)
     pixel_size, (first, last) = known.pixel_size, (frames[0], frames[-1])
     window = measures.strain_window or 3 * float(np.sqrt(np.prod(pixel_size)))
-    e = strain(total, pixel_size, window)
+    e = strain(total, pixel_size, window, measures.strain_measure)
     left = residual(first, last, total)
     share = data_share(
         normalised(first, last, estimation, pixel_size)[0],
@@ -213,6 +213,7 @@ def analyse(
     )
     summary = _summary(pixel_size, dead, steps, total, e, window)
     summary |= {
+        "strain_measure": measures.strain_measure,
         "residual_rms": float(np.sqrt(np.nanmean(left[~dead] ** 2))),
         "residual_rms_without_motion": float(
             np.sqrt(np.nanmean(residual(first, last, 0 * total)[~dead] ** 2))

@@ -59,7 +59,7 @@ def write_results(
         for name in SOMETIMES:
             io.remove(folder / name)
         _write_fields(results, folder)
-        settings = Figures(pixel_size=results.pixel_size)
+        settings = figure_settings(results)
         for name, figure in draw(results, settings).items() if kinds else ():
             paths = [folder / f"{name}.{kind}" for kind in kinds]
             figures.save(figure, paths, settings)
@@ -117,21 +117,24 @@ def _write_fields(results: Analysis, folder: Path) -> None:
 
 def draw(results: Analysis, settings: Figures | None = None) -> dict[str, Figure]:
     """The figures of a pair or sequence; of a sequence, the bubbles of its first step."""
-    settings = settings or Figures(pixel_size=results.pixel_size)
+    settings = settings or figure_settings(results)
     step, count, trust = results.steps[0], len(results.steps), results.trust
+    of_first = "" if count == 1 else ", first step"
     fields = {"standard flow": step.standard, "EOFM": results.u}
+    titles = ("before compression", "after compression")
     if count > 1:
         fields = {f"EOFM, sum of {count} steps": results.u}
+        titles = (f"first frame{of_first}", f"last of {count + 1} frames")
     quality = {
         "residual $I_2(x + u) - I_1$": results.residual,
-        "forward-backward error": step.inconsistency,
+        f"forward-backward error{of_first}": step.inconsistency,
         f"correlation after the motion: {trust.verdict}": trust.map,
-        "share of the images in the estimate": results.share,
+        "what decides the estimate": results.share,
     }
     drawn = {
-        "pair": figures.image_pair(results.first, results.last, settings, step.bubbles),
+        "pair": figures.image_pair(results.first, results.last, settings, step.bubbles, titles),
         "displacement": figures.compare_fields(fields, settings, results.deviation),
-        "strain": figures.strains(results.strain, settings),
+        "strain": figures.strains(results.strain, settings, results.summary["strain_measure"]),
         "quality": figures.quality(
             {name: np.where(results.dead, np.nan, values) for name, values in quality.items()},
             settings,
@@ -139,6 +142,12 @@ def draw(results: Analysis, settings: Figures | None = None) -> dict[str, Figure
     }
     if step.stiffness is not None and not step.stiffness.refused:
         drawn["stiffness"] = figures.moduli(
-            {"identified": step.stiffness.E}, step.modulus_deviation, settings
+            {f"identified{of_first}": step.stiffness.E}, step.modulus_deviation, settings
         )
     return drawn
+
+
+def figure_settings(results: Analysis) -> Figures:
+    """Figures in um where the size of a pixel was said."""
+    unit = "px" if all(side == 1 for side in results.pixel_size) else "um"
+    return Figures(pixel_size=results.pixel_size, unit=unit)

@@ -1,4 +1,4 @@
-"""Measures of strain by name, and what does not depend on the axes: principal values, volume, shear.
+"""Measures of strain by name, and their principal values, change of volume and maximum shear.
 
 With the deformation gradient ``F = I + grad u`` of what was at x before compression:
 
@@ -6,7 +6,7 @@ With the deformation gradient ``F = I + grad u`` of what was at x before compres
 small                     ``(grad u + grad u^T) / 2``            of small strains and rotations
 green-lagrange            ``(F^T F - I) / 2``                    unchanged by rotation afterwards
 almansi                   ``(I - F^-T F^-1) / 2``                rotates with the sample
-hencky                    ``ln(F^T F) / 2``                      unchanged by rotation; steps add up
+hencky                    ``ln(F^T F) / 2``                      unchanged by rotation; of steps, adds up
 ========================  =====================================  =================================
 
 All four agree where strains and rotations are small (Holzapfel, Nonlinear Solid Mechanics, 2000,
