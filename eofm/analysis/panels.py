@@ -30,8 +30,8 @@ BAR, BAR_GAP, BAR_LABELS = 0.09, 0.06, 0.52
 # Width of a letter of a title in parts of its size, and the size of titles, points.
 LETTER, TITLE_SIZE = 0.52, 9
 ARROWS = 150
-# Level lines shorter than this part of the picture say nothing, nor do those that wind so often, nor
-# a level in so many pieces.
+# Level lines shorter than this part of the picture say nothing, nor do those that wind so often,
+# nor a level in so many pieces.
 SHORTEST, WINDING, PIECES = 0.15, 4.0, 8
 # What decides the estimate, from the share of the images in it.
 DECIDES = ("filled in", "mixed", "images")
@@ -102,7 +102,7 @@ def level_lines(
     """Draw level lines of an image with at most one label each, none of which hide another."""
     if values.ndim == 3:
         return
-    levels = MaxNLocator(count).tick_values(*limits)
+    levels = np.asarray(MaxNLocator(count).tick_values(*limits))
     # Edges that are held would be level lines themselves, and single pixels make none.
     inner = ndimage.gaussian_filter(values, 0.01 * max(values.shape))[1:-1, 1:-1]
     margin = 0.02 * (limits[1] - limits[0])
@@ -113,7 +113,7 @@ def level_lines(
     size = np.array(values.shape[::-1]) * p
     placed: list[Array] = []
     for level in levels[(levels > low) & (levels < high)]:
-        found = lines.lines(float(level))
+        found: Any = lines.lines(float(level))
         kept = [line for line in found if _says_something(line / size)]
         if kept and len(found) <= PIECES:
             axis.add_collection(LineCollection(kept, colors="black", linewidths=0.5))
@@ -172,7 +172,8 @@ def _colours(look: Look) -> tuple[Colormap, Normalize]:
 
 def _colour_bar(axis: Axes, colours: Colormap, norm: Normalize, look: Look) -> None:
     """A colour bar as high as the axes; as an image, which takes a tenth of the time of one."""
-    figure, box = axis.figure, axis.get_position()
+    figure: Any = axis.figure
+    box = axis.get_position()
     inch = 1 / figure.get_size_inches()[0]
     bar = figure.add_axes((box.x1 + BAR_GAP * inch, box.y0, BAR * inch, box.height))
     low, high = look.limits
@@ -189,7 +190,8 @@ def _colour_bar(axis: Axes, colours: Colormap, norm: Normalize, look: Look) -> N
 
 def _title(axis: Axes, title: str) -> None:
     """A title that begins with the image, in letters as small as it takes."""
-    box = axis.get_position().width * axis.figure.get_size_inches()[0]
+    figure: Any = axis.figure
+    box = axis.get_position().width * figure.get_size_inches()[0]
     letters = len(title.replace("$", "").replace("_", "").replace("{", "").replace("}", ""))
     needed = letters * LETTER * TITLE_SIZE / 72
     size = min(1.0, (box + BAR_LABELS) / max(needed, 1e-9)) * TITLE_SIZE
@@ -201,7 +203,7 @@ def _name_sections(axis: Axes, shape: tuple[int, ...], settings: Figures) -> Non
     """Ticks along the section from in front, and the names of the other two."""
     _, height, width = (n * p for n, p in zip(shape, scale(settings, 3)[::-1], strict=True))
     for n, set_ticks in ((width, axis.set_xticks), (height, axis.set_yticks)):
-        ticks = MaxNLocator(4).tick_values(0, n)
+        ticks = np.asarray(MaxNLocator(4).tick_values(0, n))
         set_ticks(ticks[(ticks >= 0) & (ticks <= n)])
     style: Any = {"fontsize": 6, "color": "0.25"}
     right, bottom = axis.get_xlim()[1], axis.get_ylim()[0]
@@ -227,5 +229,6 @@ def _place_label(axis: Axes, line: Array, text: str, size: Array, placed: list[A
     if room[best] < 0.06:
         return
     placed.append(at[best])
-    label = axis.text(*(at[best] * size), text, fontsize=6, ha="center", va="center")
+    x, y = at[best] * size
+    label = axis.text(x, y, text, fontsize=6, ha="center", va="center")
     label.set_path_effects([withStroke(linewidth=1.5, foreground="white", alpha=0.8)])

@@ -2,12 +2,12 @@
 
 With the deformation gradient ``F = I + grad u`` of what was at x before compression:
 
-========================  =====================================  =================================
-small                     ``(grad u + grad u^T) / 2``            of small strains and rotations
-green-lagrange            ``(F^T F - I) / 2``                    unchanged by rotation afterwards
-almansi                   ``(I - F^-T F^-1) / 2``                rotates with the sample
-hencky                    ``ln(F^T F) / 2``                      unchanged by rotation; of steps, adds up
-========================  =====================================  =================================
+==============  ===========================  ========================================
+small           ``(grad u + grad u^T) / 2``  of small strains and rotations
+green-lagrange  ``(F^T F - I) / 2``          unchanged by rotation afterwards
+almansi         ``(I - F^-T F^-1) / 2``      rotates with the sample
+hencky          ``ln(F^T F) / 2``            unchanged by rotation; of steps, adds up
+==============  ===========================  ========================================
 
 All four agree where strains and rotations are small (Holzapfel, Nonlinear Solid Mechanics, 2000,
 section 2.5). Components are ordered e11, e22, (e33,) e12, (e13, e23).
