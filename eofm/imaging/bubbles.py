@@ -60,7 +60,8 @@ def track(
     DataFrame
         One row per bubble: ``x1``, ``x2`` (centre of mass before compression) and ``u1``,
         ``u2`` (displacement), px; ``area``, px^2; ``brightness``, peak above the threshold
-        with both images in [0, 1]; ``quality``, correlation of the two windows, at most 1.
+        with both images in [0, 1]; ``quality``, correlation of the two windows, at most 1. Its
+        ``attrs["found"]`` is the number of bubbles in the first image.
 
     Raises
     ------
@@ -102,7 +103,9 @@ def track(
             " field that predicts the motion"
         )
     table = before.iloc[i].assign(u1=motion[0], u2=motion[1], quality=quality)[good]
-    return table[["x1", "x2", "u1", "u2", "area", "brightness", "quality"]].reset_index(drop=True)
+    table = table[["x1", "x2", "u1", "u2", "area", "brightness", "quality"]].reset_index(drop=True)
+    table.attrs["found"] = len(before)
+    return table
 
 
 def detect(I: Array, settings: Tracking = Tracking()) -> pd.DataFrame:
