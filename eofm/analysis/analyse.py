@@ -187,7 +187,7 @@ def analyse(
     if len(frames) < 2:
         raise InputError(f"frames: wants two or more images, got {len(frames)}")
     shape = frames[0].shape
-    pixel_size = tuple(known.pixel_size[: len(shape)])
+    pixel_size = known.sides(len(shape))
     summary.check_measures(measures, shape, pixel_size)
     dead = np.zeros(shape, dtype=bool) if known.dead is None else known.dead
     steps: list[Step] = []

@@ -33,7 +33,7 @@ class Units:
     @property
     def name(self) -> str:
         """The unit as it is written."""
-        return "px" if all(side == 1 for side in self.summary["pixel_size_um"]) else "µm"
+        return "µm" if self.summary["pixel_size_from"] else "px"
 
     def factor(self, i: int | None = None) -> float:
         """Side of a pixel along component ``i``, or the mean of all, in this unit."""
@@ -215,8 +215,8 @@ def _scale(summary: dict[str, Any]) -> Iterator[Finding]:
         yield Finding(
             "note",
             "The size of a pixel was not said, so lengths are in px.",
-            "Say --lateral-size and --axial-size, um, for micrometres and for strains of pixels"
-            " that are not square.",
+            "Neither the files nor you say it; --lateral-size and --axial-size do, in um. Strains"
+            " are right if pixels are square.",
         )
 
 

@@ -26,6 +26,7 @@ FIGURES = ("pair", "displacement", "strain", "quality", "stiffness")
 SOMETIMES = (
     "increments.tif",
     "deviation.tif",
+    "displacement_um.tif",
     "stiffness.tif",
     "stiffness_deviation.tif",
     *(f"{name}.{kind}" for name in FIGURES for kind in KINDS["all"]),
@@ -33,7 +34,6 @@ SOMETIMES = (
 RESULTS = (
     *SOMETIMES,
     "displacement.tif",
-    "displacement_um.tif",
     "images.tif",
     "strain.tif",
     "strain_invariants.tif",
@@ -52,10 +52,11 @@ def write_results(
     """Write fields, tables, summary and figures into a folder.
 
     ``images.tif`` (the first and the last frame), ``displacement.tif`` (px),
-    ``displacement_um.tif``, ``deviation.tif`` (px), ``strain.tif``, ``strain_invariants.tif``
-    (principal strains, change of volume, maximum shear), ``trust.tif`` (correlation of the images
-    after the motion), all but the images NaN in dead zones, ``bubbles.csv``, ``report.html`` (one
-    page that explains them), ``summary.json``, ``provenance.json``, for sequences also
+    ``displacement_um.tif`` if the size of a pixel is known, ``deviation.tif`` (px), ``strain.tif``,
+    ``strain_invariants.tif`` (principal strains, change of volume, maximum shear), ``trust.tif``
+    (correlation of the images after the motion), all but the images NaN in dead zones,
+    ``bubbles.csv``, ``report.html`` (one page that explains them), ``summary.json``,
+    ``provenance.json``, for sequences also
     ``increments.tif``, with an identified sample ``stiffness.tif`` and
     ``stiffness_deviation.tif`` (of log E), and the figures
     ``pair``, ``displacement``, ``strain``, ``quality`` and ``stiffness`` as files of some
@@ -111,31 +112,34 @@ def check_results(folder: Path, pair: Pair) -> None:
 def _write_fields(results: Analysis, folder: Path) -> None:
     """Write all fields and the table of bubbles."""
     n = results.first.ndim
-    size = componentwise(results.pixel_size, n)
+    sides = results.pixel_size if results.summary["pixel_size_from"] else None
 
     def seen(values: Array) -> Array:
         return np.where(results.dead, np.nan, values)
 
-    io.write_field(folder / "displacement.tif", seen(results.u))
-    io.write_field(folder / "displacement_um.tif", seen(results.u * size), "um")
+    io.write_field(folder / "displacement.tif", seen(results.u), sides=sides)
+    if sides is not None:
+        um = seen(results.u * componentwise(sides, n))
+        io.write_field(folder / "displacement_um.tif", um, "um", sides)
     frames = np.stack([results.first, results.last])
-    io.write_pages(folder / "images.tif", frames, ["first", "last"])
-    io.write_pages(folder / "strain.tif", seen(results.strain), labels(n))
+    io.write_pages(folder / "images.tif", frames, ["first", "last"], sides)
+    io.write_pages(folder / "strain.tif", seen(results.strain), labels(n), sides)
     derived = invariants(results.strain, results.summary["strain_measure"])
     values = seen(np.stack(list(derived.values())))
-    io.write_pages(folder / "strain_invariants.tif", values, list(derived))
-    io.write_image(folder / "trust.tif", seen(results.trust.map))
+    io.write_pages(folder / "strain_invariants.tif", values, list(derived), sides)
+    io.write_image(folder / "trust.tif", seen(results.trust.map), sides)
     if results.deviation is not None:
-        io.write_field(folder / "deviation.tif", seen(results.deviation))
+        deviation = seen(results.deviation)
+        io.write_field(folder / "deviation.tif", deviation, sides=sides, of="deviation")
     first = results.steps[0]
     if first.stiffness is not None and not first.stiffness.refused:
-        io.write_image(folder / "stiffness.tif", seen(first.stiffness.E))
+        io.write_image(folder / "stiffness.tif", seen(first.stiffness.E), sides)
     if first.modulus_deviation is not None and np.isfinite(first.modulus_deviation).all():
-        io.write_image(folder / "stiffness_deviation.tif", seen(first.modulus_deviation))
+        io.write_image(folder / "stiffness_deviation.tif", seen(first.modulus_deviation), sides)
     if len(results.steps) > 1:
         increments = seen(np.concatenate([step.estimate.u for step in results.steps]))
         names = [f"step {k}: u{i + 1} [px]" for k in range(len(results.steps)) for i in range(n)]
-        io.write_pages(folder / "increments.tif", increments, names)
+        io.write_pages(folder / "increments.tif", increments, names, sides)
     tables = [step.bubbles.assign(step=k) for k, step in enumerate(results.steps)]
     io.write_table(folder / "bubbles.csv", pd.concat(tables, ignore_index=True))
 
@@ -178,5 +182,5 @@ def draw(results: Analysis, settings: Figures | None = None) -> "dict[str, Figur
 
 def figure_settings(results: Analysis) -> Figures:
     """Figures in um where the size of a pixel was said."""
-    unit = "px" if all(side == 1 for side in results.pixel_size) else "um"
+    unit = "um" if results.summary["pixel_size_from"] else "px"
     return Figures(pixel_size=results.pixel_size, unit=unit)

@@ -1,20 +1,26 @@
 """Strain from displacement."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy import ndimage
 
 from eofm.analysis.tensors import Measure, measured, pairs
 from eofm.errors import InputError
-from eofm.grid import Array
+from eofm.grid import Array, precision
+
+Filter = Callable[[Array, int, float], Array]
 
 # What the derivative is called in summaries.
 FILTER = "local linear least squares with Gaussian weights"
 
 
+# Lines of pixels that are filtered at a time, in double precision.
+LINES = 32
+
+
 def strain(
-    u: Array, pixel_size: tuple[float, ...], window: float, measure: Measure = "small"
+    u: Array, pixel_size: Sequence[float], window: float, measure: Measure = "small"
 ) -> Array:
     """Strain of a displacement field.
 
@@ -23,7 +29,7 @@ def strain(
     u : ndarray, shape (2, height, width) or (3, depth, height, width)
         Displacement, px.
     pixel_size : (lateral, axial) or (lateral, axial, elevational)
-        Sides of a pixel, um.
+        Sides of a pixel, um; of an image two count.
     window : float
         Standard deviation of the Gaussian weights, um.
     measure : {"small", "green-lagrange", "almansi", "hencky"}
@@ -47,31 +53,44 @@ def strain(
     pixel. Up to the edges it is exact for displacements that are linear. Gaussian weights
     are products, so the fit is a mean across the line and a slope along it.
     """
-    widths = [window / p for p in pixel_size]
+    n = len(u)
+    sides = pixel_size[:n]
+    widths = [window / p for p in sides]
     if min(widths) < 0.5:
         raise InputError(
             f"strain_window: {window:g} um is less than half a pixel"
-            f" ({pixel_size[0]:g} x {pixel_size[1]:g} um); a few pixels are usual"
+            f" ({' x '.join(f'{p:g}' for p in sides)} um); a few pixels are usual"
         )
-
-    n = len(u)
 
     def derivative(i: int, j: int) -> Array:
         """Slope of u_i along x_j, of its means across the other directions."""
         f = u[i]
         for k in (k for k in range(n) if k != j):
-            f = _mean(f, n - 1 - k, widths[k])
-        return _slope(f, n - 1 - j, widths[j]) * (pixel_size[i] / pixel_size[j])
+            f = _filtered(_mean, f, n - 1 - k, widths[k])
+        f = _filtered(_slope, f, n - 1 - j, widths[j])
+        f *= sides[i] / sides[j]
+        return f
 
-    if measure == "small":
-        return np.stack([_symmetric(derivative, i, j) for i, j in pairs(n)])
-    G = np.stack([np.stack([derivative(i, j) for j in range(n)]) for i in range(n)])
-    return measured(G, measure)
+    if measure != "small":
+        G = np.stack([np.stack([derivative(i, j) for j in range(n)]) for i in range(n)])
+        return measured(G, measure)
+    e = np.empty((len(pairs(n)), *u.shape[1:]), precision(n))
+    for out, (i, j) in zip(e, pairs(n), strict=True):
+        out[:] = derivative(j, i)
+        if i != j:
+            out += derivative(i, j)
+            out /= 2
+    return e
 
 
-def _symmetric(derivative: Callable[[int, int], Array], i: int, j: int) -> Array:
-    """A component of small strain, without the whole gradient in the memory."""
-    return derivative(i, i) if i == j else (derivative(j, i) + derivative(i, j)) / 2
+def _filtered(filter: Filter, f: Array, axis: int, width: float) -> Array:
+    """A filter along an axis, some lines at a time."""
+    g = np.empty(f.shape, precision(f.ndim))
+    across = int(axis == 0)
+    for first in range(0, f.shape[across], LINES):
+        part = (slice(None),) * across + (slice(first, first + LINES),)
+        g[part] = filter(f[part].astype(np.float64), axis, width)
+    return g
 
 
 def _sum(f: Array, axis: int, width: float) -> Array:

@@ -40,6 +40,8 @@ def of_motion(
     return {
         "size_px": list(u.shape[:0:-1]),
         "pixel_size_um": list(pixel_size),
+        # Equal sides of 1 are what `Known` has where nobody says anything.
+        "pixel_size_from": "known" if set(pixel_size) != {1.0} else None,
         "steps": len(steps),
         "bubbles": [len(step.bubbles) for step in steps],
         "bubbles_found": [step.found for step in steps],
