@@ -44,8 +44,9 @@ for number, names in enumerate(PARTS):
                     "words": sample_words(SAMPLES[name]),
                     "files": sample_files(SAMPLES[name]),
                     "log": f"logs/samples/{name}.log",
+                    "seconds": 60 * minutes([size]),
                 }
-                for name in names
+                for name, size in zip(names, sizes)
             },
         script:
             "../scripts/sample_part.py"
