@@ -25,11 +25,17 @@ shell.prefix(
     f"set -euo pipefail; export PATH={shlex.quote(str(Path(sys.executable).parent))}:$PATH; "
 )
 
-if workflow.is_main_process and workflow.executor_plugin and not workflow.dryrun:
-    try:
-        LOCK = only_run(Path(".snakemake"))
-    except InputError as error:
-        sys.exit(str(error))
+# The lock of the folder is held as long as this process lives.
+LOCKS = []
+
+
+onstart:
+    if workflow.is_main_process:
+        try:
+            LOCKS.append(only_run(Path(".snakemake")))
+        except InputError as error:
+            sys.exit(str(error))
+
 
 try:
     settings = eofm.app.config.Config.parse(config, "configuration")
