@@ -12,6 +12,8 @@ rule samples:
     log:
         "logs/samples_check.log",
     localrule: True
+    conda:
+        "../envs/eofm.yaml"
     shell:
         "python {input.script} {input.table} > {log} 2>&1"
 
@@ -33,6 +35,8 @@ for number, names in enumerate(PARTS):
             f"logs/samples_{number}.log",
         benchmark:
             f"benchmarks/samples_{number}.tsv"
+        conda:
+            "../envs/eofm.yaml"
         threads: 1 if max(sizes) < 1_000_000 else 4
         resources:
             mem_mb=memory(max(sizes)),
@@ -73,6 +77,8 @@ rule samples_summary:
     benchmark:
         "benchmarks/samples_summary.tsv"
     localrule: True
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=300,
     script:
