@@ -8,6 +8,8 @@ PARTS = list(parts(SAMPLES))
 rule samples:
     input:
         table=f"{OWN}/summary.csv",
+        # Those that crashed are missing.
+        states=expand("{folder}/{sample}/state.json", folder=OWN, sample=SAMPLES),
         script=SCRIPTS / "samples_check.py",
     log:
         "logs/samples_check.log",

@@ -15,3 +15,5 @@ if __name__ == "__main__":
         )
     except OSError as error:  # not even the state of a row can be written
         sys.exit(str(error))
+    except KeyboardInterrupt:
+        sys.exit("interrupted; the next run goes on with the rows that are left")
