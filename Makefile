@@ -27,7 +27,7 @@ check: .venv/installed
 	$(BIN)/snakefmt --check Snakefile workflow
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache --no-logo
-	$(BIN)/python workflow/scripts/lint.py
+	$(BIN)/snakemake --lint
 	$(BIN)/python workflow/scripts/quote_numbers.py --check
 
 # Puts the numbers of docs/figures into the texts that quote them.
