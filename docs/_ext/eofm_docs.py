@@ -2,7 +2,9 @@
 
 import argparse
 import hashlib
+import inspect
 import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,8 +20,17 @@ PAGE = """\
 
 The pages below are written from the parser of `eofm` itself, so they say what `eofm STEP --help`
 says. Lengths are in px unless another unit is named. Exit status: 0 where it worked, 1 where an
-input cannot be used (one line says why), 2 where the call is wrong, and 3 where a result was written
-that must not be trusted.
+input cannot be used (one line says why), 2 where the call is wrong, and 3 where a result was
+written that must not be trusted.
+
+"""
+# What argparse calls its groups, and what they are here.
+TITLES = {"positional arguments": "files by position", "options": "files and options by name"}
+
+PEERS = """\
+# Other tools and their settings
+
+Settings of the tools that figures compare with, from `workflow/scripts/peers.py`, which runs them.
 
 """
 
@@ -56,19 +67,29 @@ def command_page() -> str:
     """The reference of the command, as Markdown."""
     parser = cli._parser()
     steps = next(a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
-    parts = [PAGE, _table([(f"[`eofm {name}`](#eofm-{name})", _first(sub)) for name, sub in
-                           steps.choices.items()], ("step", "what it does"))]
+    names = [(f"[`eofm {name}`](#eofm-{name})", _first(sub)) for name, sub in steps.choices.items()]
+    parts = [PAGE, _table(names, ("step", "what it does"))]
     for name, sub in steps.choices.items():
-        parts += [f"\n## `eofm {name}` {{#eofm-{name}}}\n\n", _description(sub)]
+        parts += [f"\n## eofm {name}\n\n", _description(sub)]
         for group in sub._action_groups:
             rows = [_row(a) for a in group._group_actions if a.dest != "help"]
-            if rows:
-                title = {"positional arguments": "files", "options": "options"}
-                parts += [
-                    f"\n### {title.get(group.title, group.title)} {{#{name}-{group.title.split()[0]}}}\n\n",
-                    _table(rows, ("", "meaning")),
-                ]
+            title = TITLES.get(group.title or "", group.title)
+            parts += [f"\n**{title}**\n\n", _table(rows, ("", "meaning"))] if rows else []
     return "".join(parts)
+
+
+def peers_page(scripts: Path) -> str:
+    """What the functions that run other tools say of them, as Markdown."""
+    sys.path.insert(0, str(scripts))
+    import peers
+
+    text = "\n\n".join((peers.__doc__ or "").strip().split("\n\n")[1:])
+    parts = [inspect.cleandoc(tool.__doc__ or "") for tool in peers.TOOLS.values()]
+    names = [part.partition(".")[0] for part in parts]
+    assert len(set(names)) == len(names)
+    return (
+        PEERS + "\n\n".join([text, *(f"- {part}".replace("\n", "\n  ") for part in parts)]) + "\n"
+    )
 
 
 def _first(parser: argparse.ArgumentParser) -> str:
@@ -118,7 +139,7 @@ def _keys(section: type[Section]) -> Iterator[str]:
 def short_signature(
     app: Sphinx, what: str, name: str, obj: Any, options: Any, signature: str, returns: str
 ) -> tuple[str, str] | None:
-    """Settings take their keys by name, whose table stands below; defaults read as they are written."""
+    """Settings take keys by name, whose table stands below; defaults read as they are written."""
     if what == "class" and isinstance(obj, type) and issubclass(obj, Section):
         return "(**keys)", ""
     if signature:
@@ -129,10 +150,14 @@ def short_signature(
 
 def write_pages(app: Sphinx) -> None:
     """Write what is made from code, where it has changed."""
-    page = Path(app.srcdir) / "reference/command.md"
-    text = command_page()
-    if not page.exists() or page.read_text() != text:
-        page.write_text(text)
+    source = Path(app.srcdir)
+    pages = {
+        source / "reference/command.md": command_page(),
+        source / "validation/peers.md": peers_page(source.parent / "workflow/scripts"),
+    }
+    for page, text in pages.items():
+        if not page.exists() or page.read_text() != text:
+            page.write_text(text)
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
