@@ -63,7 +63,8 @@ sphinx_gallery_conf = {
     "plot_gallery": "True",
     "download_all_examples": False,
     "nested_sections": False,
-    "min_reported_time": 5,
+    "min_reported_time": 3600,
+    "thumbnail_size": (560, 380),
     "write_computation_times": False,
 }
 

@@ -34,7 +34,13 @@ fig, ax = plt.subplots(figsize=(7, 4.2))
 ax.imshow(before, cmap="gray")
 # u2 points down, as the axis of the picture does, so arrows need no change of sign.
 arrows = ax.quiver(
-    *bubbles[["x1", "x2", "u1", "u2"]].to_numpy().T, error, angles="xy", scale=0.25, cmap="autumn_r"
+    *bubbles[["x1", "x2", "u1", "u2"]].to_numpy().T,
+    error,
+    angles="xy",
+    scale_units="xy",
+    scale=0.25,
+    width=0.003,
+    cmap="autumn_r",
 )
 fig.colorbar(arrows, label="error, px", shrink=0.7)
 ax.set_title("bubbles and four times their motion")

@@ -45,13 +45,13 @@ errors = np.array(
 )
 
 # %%
-fig, axes = plt.subplots(1, 4, figsize=(9.5, 2.5), width_ratios=[1, 1, 1, 1.3])
-for ax, (name, image) in zip(axes, seconds.items(), strict=False):
+fig, axes = plt.subplots(2, 2, figsize=(7, 4.6))
+for ax, (name, image) in zip(axes.flat, seconds.items(), strict=False):
     ax.imshow(image, cmap="gray")
     ax.set_title(name)
 places = np.arange(3)
 for k, name in enumerate(settings):
-    axes[3].bar(places + 0.27 * (k - 1), errors[:, k], 0.25, label=name)
-axes[3].set(xticks=places, xticklabels=["nothing", "ramp", "gamma"], yscale="log")
-axes[3].set_title("mean error, px")
-axes[3].legend(fontsize=7)
+    axes[1, 1].bar(places + 0.27 * (k - 1), errors[:, k], 0.25, label=name)
+axes[1, 1].set(xticks=places, xticklabels=["nothing", "ramp", "gamma"], yscale="log")
+axes[1, 1].set_title("mean error, px")
+axes[1, 1].legend(fontsize=7)

@@ -29,11 +29,11 @@ decorrelated = good[0], 0.35 * good[1] + 0.65 * other
 far = speckle(truth + np.array([70.0, 0.0]).reshape(2, 1, 1))
 hole = np.arange(128) > 50
 rng = np.random.default_rng(1)
-empty = tuple(np.where(hole, rng.normal(0.3, 0.03, shape), image) for image in good)
+empty = tuple(np.where(hole, rng.normal(0.5, 0.2, shape), image) for image in good)
 
 # %%
 cases = {"good": good, "decorrelated": decorrelated, "too large": far, "no structure": empty}
-fig, axes = plt.subplots(3, 4, figsize=(9.5, 5.4), sharex=True, sharey=True)
+fig, axes = plt.subplots(3, 4, figsize=(8, 5), sharex=True, sharey=True)
 for column, (name, pair) in enumerate(cases.items()):
     found = eofm.estimate_displacement(*pair)
     axes[0, column].imshow(pair[0], cmap="gray")
@@ -45,7 +45,7 @@ for column, (name, pair) in enumerate(cases.items()):
         print(f"    {reason}")
 for ax, name in zip(axes[:, 0], ("before", "u2", "trust"), strict=True):
     ax.set_ylabel(name)
-fig.colorbar(shown, ax=axes[2], shrink=0.8)
+fig.colorbar(shown, ax=axes[2, 3])
 
 # %%
 # The map is the correlation of small windows after the motion. The command prints the reasons, and
