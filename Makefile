@@ -32,7 +32,7 @@ check: .venv/installed docs
 
 # The site, in docs/_build/html; examples run again after an edit of the library.
 docs: .venv/installed
-	$(BIN)/sphinx-build -W --keep-going -q -j $(CORES) -d docs/_build/doctrees docs docs/_build/html
+	$(BIN)/sphinx-build -W --keep-going -q -d docs/_build/doctrees docs docs/_build/html
 	$(BIN)/python docs/check_site.py docs/_build/html
 
 # Puts the numbers of docs/figures into the texts that quote them.
