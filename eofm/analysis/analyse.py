@@ -92,7 +92,7 @@ class Analysis:
     first: Array
     last: Array
     dead: Mask
-    pixel_size: tuple[float, float]
+    pixel_size: tuple[float, ...]
     u: Array
     deviation: Array | None
     steps: list[Step]
@@ -199,7 +199,7 @@ def analyse(
         for edge in known.edges if estimation.edge_weight is None else ():
             on = FACES[edge].pixels()
             total[:, *on] = sum(s.estimate.u[:, *on] for s in steps)
-    pixel_size, (first, last) = known.pixel_size, (frames[0], frames[-1])
+    pixel_size, (first, last) = known.sides(dead.ndim), (frames[0], frames[-1])
     window = measures.strain_window or 3 * float(np.sqrt(np.prod(pixel_size)))
     e = strain(total, pixel_size, window)
     left = residual(first, last, total)
@@ -325,7 +325,7 @@ def _trust(trust: Trust, deviation: Array | None, errors: Array, dead: Mask | No
 
 
 def _summary(
-    pixel_size: tuple[float, float],
+    pixel_size: tuple[float, ...],
     dead: Mask,
     steps: list[Step],
     u: Array,
@@ -339,6 +339,8 @@ def _summary(
     return {
         "size_px": [u.shape[2], u.shape[1]],
         "pixel_size_um": list(pixel_size),
+        # Equal sides of 1 are what `Known` has where nobody says anything.
+        "pixel_size_from": "known" if set(pixel_size) != {1.0} else None,
         "steps": len(steps),
         "bubbles": [len(step.bubbles) for step in steps],
         "bubble_quality_median": float(

@@ -23,6 +23,7 @@ FIGURES = ("pair", "displacement", "strain", "quality", "stiffness")
 SOMETIMES = (
     "increments.tif",
     "deviation.tif",
+    "displacement_um.tif",
     "stiffness.tif",
     "stiffness_deviation.tif",
     *(f"{name}.{kind}" for name in FIGURES for kind in KINDS["all"]),
@@ -30,7 +31,6 @@ SOMETIMES = (
 RESULTS = (
     *SOMETIMES,
     "displacement.tif",
-    "displacement_um.tif",
     "strain.tif",
     "trust.tif",
     "bubbles.csv",
@@ -45,7 +45,8 @@ def write_results(
 ) -> None:
     """Write fields, tables, summary and figures into a folder.
 
-    ``displacement.tif`` (px), ``displacement_um.tif``, ``deviation.tif`` (px), ``strain.tif``,
+    ``displacement.tif`` (px), ``displacement_um.tif`` if the size of a pixel is known,
+    ``deviation.tif`` (px), ``strain.tif``,
     ``trust.tif`` (correlation of the images after the motion), all NaN in dead zones,
     ``bubbles.csv``, ``summary.json``, ``provenance.json``, for sequences also
     ``increments.tif``, with an identified sample ``stiffness.tif`` and
@@ -91,26 +92,29 @@ def check_results(folder: Path, pair: Pair) -> None:
 
 def _write_fields(results: Analysis, folder: Path) -> None:
     """Write all fields and the table of bubbles."""
-    size = componentwise(results.pixel_size, 2)
+    sides = results.pixel_size if results.summary["pixel_size_from"] else None
 
     def seen(values: Array) -> Array:
         return np.where(results.dead, np.nan, values)
 
-    io.write_field(folder / "displacement.tif", seen(results.u))
-    io.write_field(folder / "displacement_um.tif", seen(results.u * size), "um")
-    io.write_pages(folder / "strain.tif", seen(results.strain), STRAIN_LABELS)
-    io.write_image(folder / "trust.tif", seen(results.trust.map))
+    io.write_field(folder / "displacement.tif", seen(results.u), sides=sides)
+    if sides is not None:
+        um = seen(results.u * componentwise(sides, 2))
+        io.write_field(folder / "displacement_um.tif", um, "um", sides)
+    io.write_pages(folder / "strain.tif", seen(results.strain), STRAIN_LABELS, sides)
+    io.write_image(folder / "trust.tif", seen(results.trust.map), sides)
     if results.deviation is not None:
-        io.write_field(folder / "deviation.tif", seen(results.deviation))
+        deviation = seen(results.deviation)
+        io.write_field(folder / "deviation.tif", deviation, sides=sides, of="deviation")
     first = results.steps[0]
     if first.stiffness is not None and not first.stiffness.refused:
-        io.write_image(folder / "stiffness.tif", seen(first.stiffness.E))
+        io.write_image(folder / "stiffness.tif", seen(first.stiffness.E), sides)
     if first.modulus_deviation is not None and np.isfinite(first.modulus_deviation).all():
-        io.write_image(folder / "stiffness_deviation.tif", seen(first.modulus_deviation))
+        io.write_image(folder / "stiffness_deviation.tif", seen(first.modulus_deviation), sides)
     if len(results.steps) > 1:
         increments = seen(np.concatenate([step.estimate.u for step in results.steps]))
         labels = [f"step {k}: u{i} [px]" for k in range(len(results.steps)) for i in (1, 2)]
-        io.write_pages(folder / "increments.tif", increments, labels)
+        io.write_pages(folder / "increments.tif", increments, labels, sides)
     tables = [step.bubbles.assign(step=k) for k, step in enumerate(results.steps)]
     io.write_table(folder / "bubbles.csv", pd.concat(tables, ignore_index=True))
 

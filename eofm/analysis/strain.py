@@ -1,34 +1,42 @@
 """Strain from displacement."""
 
+from collections.abc import Callable, Sequence
 from itertools import combinations
 
 import numpy as np
 from scipy import ndimage
 
 from eofm.errors import InputError
-from eofm.grid import Array
+from eofm.grid import Array, precision
+
+Filter = Callable[[Array, int, float], Array]
 
 # What the derivative is called in summaries.
 FILTER = "local linear least squares with Gaussian weights"
 
 
-def strain(u: Array, pixel_size: tuple[float, float], window: float) -> Array:
+# Lines of pixels that are filtered at a time, in double precision.
+LINES = 32
+
+
+def strain(u: Array, pixel_size: Sequence[float], window: float) -> Array:
     """Linearised strain of a displacement field.
 
     Parameters
     ----------
-    u : ndarray, shape (2, height, width)
+    u : ndarray, shape (2, height, width) or (3, depth, height, width)
         Displacement, px.
-    pixel_size : (lateral, axial)
-        Sides of a pixel, um.
+    pixel_size : (lateral, axial) or (lateral, axial, elevational)
+        Sides of a pixel, um; of an image two count.
     window : float
         Standard deviation of the Gaussian weights, um.
 
     Returns
     -------
-    ndarray, shape (3, height, width)
+    ndarray, shape (3, height, width) or (6, depth, height, width)
         ``e11 = d1 u1`` (lateral), ``e22 = d2 u2`` (axial; negative under compression) and
-        ``e12 = (d1 u2 + d2 u1) / 2`` (shear), without unit.
+        ``e12 = (d1 u2 + d2 u1) / 2`` (shear), without unit; of a volume e11, e22, e33, e12,
+        e13, e23.
 
     Raises
     ------
@@ -41,25 +49,42 @@ def strain(u: Array, pixel_size: tuple[float, float], window: float) -> Array:
     pixel. Up to the edges it is exact for displacements that are linear. Gaussian weights
     are products, so the fit is a mean across the line and a slope along it.
     """
-    widths = [window / p for p in pixel_size]
+    n = len(u)
+    sides = pixel_size[:n]
+    widths = [window / p for p in sides]
     if min(widths) < 0.5:
         raise InputError(
             f"strain_window: {window:g} um is less than half a pixel"
-            f" ({pixel_size[0]:g} x {pixel_size[1]:g} um); a few pixels are usual"
+            f" ({' x '.join(f'{p:g}' for p in sides)} um); a few pixels are usual"
         )
-
-    n = len(u)
 
     def derivative(i: int, j: int) -> Array:
         """Slope of u_i along x_j, of its means across the other directions."""
         f = u[i]
         for k in (k for k in range(n) if k != j):
-            f = _mean(f, n - 1 - k, widths[k])
-        return _slope(f, n - 1 - j, widths[j]) * (pixel_size[i] / pixel_size[j])
+            f = _filtered(_mean, f, n - 1 - k, widths[k])
+        f = _filtered(_slope, f, n - 1 - j, widths[j])
+        f *= sides[i] / sides[j]
+        return f
 
-    normal = [derivative(i, i) for i in range(n)]
-    shear = [(derivative(j, i) + derivative(i, j)) / 2 for i, j in combinations(range(n), 2)]
-    return np.stack(normal + shear)
+    pairs = list(combinations(range(n), 2))
+    e = np.empty((n + len(pairs), *u.shape[1:]), precision(n))
+    for i in range(n):
+        e[i] = derivative(i, i)
+    for shear, (i, j) in zip(e[n:], pairs, strict=True):
+        np.add(derivative(j, i), derivative(i, j), out=shear)
+        shear /= 2
+    return e
+
+
+def _filtered(filter: Filter, f: Array, axis: int, width: float) -> Array:
+    """A filter along an axis, some lines at a time."""
+    g = np.empty(f.shape, precision(f.ndim))
+    across = int(axis == 0)
+    for first in range(0, f.shape[across], LINES):
+        part = (slice(None),) * across + (slice(first, first + LINES),)
+        g[part] = filter(f[part].astype(np.float64), axis, width)
+    return g
 
 
 def _sum(f: Array, axis: int, width: float) -> Array:

@@ -12,6 +12,7 @@ from eofm.settings import (
     Figures,
     Forward,
     Identification,
+    Inclusion,
     Phantom,
     Positive,
     Sample,
@@ -68,6 +69,28 @@ class Robustness(Section):
         ("dis", "deepflow", "ilk", "elastix"), description="other tools that see the same pairs"
     )
     seed: int = Field(11, ge=0, description="seed of the half for tuning; the other has the next")
+
+
+class Volume(Section):
+    """A pressed box with a sphere, as bubbles and as dense speckle, and its estimates."""
+
+    sample: Sample = Field(
+        Sample(
+            height=80,
+            width=96,
+            depth=64,
+            compression=2.6,
+            inclusions=(Inclusion(x1=56.0, x2=50.0, x3=30.0, radius=18.0, stiffness=7.5),),
+        ),
+        description="size, sphere and load",
+    )
+    bubbles: Phantom = Field(
+        Phantom(count=500), description="images of bubbles as far apart as the paper's"
+    )
+    speckle: Phantom = Field(
+        Phantom(count=11_000, sigma=(1.2, 1.8), brightness=(0.3, 1.0), noise=0.05),
+        description="images of dense speckle",
+    )
 
 
 class Ensemble(Section):
@@ -155,6 +178,7 @@ class Config(Section):
     benchmark: Benchmark = Benchmark()
     ensemble: Ensemble = Ensemble()
     robustness: Robustness = Robustness()
+    volume: Volume = Volume()
     studies: Studies = Studies()
     samples: str = Field("config/samples.tsv", description="table of your own image pairs (TSV)")
 
