@@ -1,7 +1,7 @@
 """What is minimised on each scale, and one step of it."""
 
 from dataclasses import dataclass
-from typing import NamedTuple, Self
+from typing import NamedTuple, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -173,7 +173,7 @@ class Level:
 
         ``chosen`` are the weights that coarser grids have chosen.
         """
-        settings, F = self.problem.settings, None
+        settings, F = self.problem.settings, cast(Quadratic, None)
         u = self.problem.carried(self.coarse, self.pair.grid.shape)
         about = self.base + self.prescribed if self.prescribed.any() else self.base
         # The first field of a scale may still be far from it, and its residual no noise.
