@@ -80,7 +80,7 @@ def faces(ndim: int) -> dict[Edge, Face]:
 
 def precision(ndim: int) -> type[np.floating[Any]]:
     """Type of the numbers in images (two axes) and volumes (three), and in their fields."""
-    return np.float64 if ndim == 2 else np.float32
+    return np.float32 if ndim == 3 else np.float64
 
 
 @dataclass(frozen=True)
@@ -107,6 +107,10 @@ class Grid:
     def side(self) -> float:
         """Geometric mean of the distances."""
         return geometric_mean(self.spacing)
+
+    def samples(self, u: Array) -> Array:
+        """A displacement in samples, maybe itself, of one in the unit of the distances."""
+        return u if set(self.spacing) == {1.0} else u / componentwise(self.spacing, self.ndim)
 
     @property
     def ndim(self) -> int:
@@ -141,7 +145,7 @@ class Grid:
 
 def componentwise(values: object, ndim: int) -> Array:
     """One value for each component, shaped to act on a field of a grid with ``ndim`` axes."""
-    return np.reshape(np.asarray(values, dtype=np.float64), (-1, *[1] * ndim))
+    return np.reshape(np.asarray(values, dtype=precision(ndim)), (-1, *[1] * ndim))
 
 
 def inside(shape: tuple[int, ...], x: Array) -> Mask:

@@ -61,15 +61,17 @@ class Place:
 
 
 def parse_edge(
-    edge: Edge, text: str, shape: tuple[int, ...], pixel_size: tuple[float, float]
+    edge: Edge, text: str, shape: tuple[int, ...], pixel_size: tuple[float, ...] | None
 ) -> EdgeState:
     """Read the description of an edge of a sample of a ``shape`` (height, width), px.
+
+    The ``pixel_size`` in um, lateral first, is None where it is not known.
 
     Raises
     ------
     InputError
         If a word is unknown, a number is missing, a profile has another length than the
-        edge, or the motion is larger than the image.
+        edge, the motion is larger than the image, or in um where no pixel size is known.
     """
     words = text.split()
     outside = words[:1] == ["outside"]
@@ -91,7 +93,9 @@ def parse_edge(
     return EdgeState(outside, motion)
 
 
-def _motion(edge: Edge, words: list[str], length: int, pixel_size: tuple[float, float]) -> Array:
+def _motion(
+    edge: Edge, words: list[str], length: int, pixel_size: tuple[float, ...] | None
+) -> Array:
     if len(words) == 1:
         motion = read_columns(Path(words[0]), ("u1", "u2")).to_numpy(dtype=float).T
         if motion.shape[1] != length:
@@ -107,4 +111,11 @@ def _motion(edge: Edge, words: list[str], length: int, pixel_size: tuple[float, 
         motion = np.full((2, 1), np.nan)
     if motion.shape != (2, 1) or unit not in ("px", "um") or not np.isfinite(motion).all():
         raise InputError(f"{edge}: cannot read 'moved {' '.join(words)}'; use {EDGE_WORDS}")
-    return motion / np.reshape(pixel_size, (2, 1)) if unit == "um" else motion
+    if unit == "px":
+        return motion
+    if pixel_size is None:
+        raise InputError(
+            f"{edge}: moves in um, but the size of a pixel is not known; give lateral_size and"
+            " axial_size, or the motion in px"
+        )
+    return motion / np.reshape(pixel_size, (2, 1))

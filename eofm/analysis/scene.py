@@ -1,5 +1,6 @@
 """What is known of a pair of images: read, cut to the region of interest, and checked."""
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +15,8 @@ from eofm.errors import InputError
 from eofm.flow.known import Known
 from eofm.grid import FACES, Array, Edge, faces
 from eofm.settings import Pair, Region, Sample
+
+logger = logging.getLogger("eofm")
 
 # Corners farther away than this, px, and samples larger than so many regions, are mistakes.
 FAR = 1e6
@@ -32,15 +35,24 @@ class Scene:
         Dead zones of the first frame, and edges and background of one step.
     sample : Sample
         Materials of the sample, and its size, as far as the frames show it.
+    pixel_size : PixelSize or None
+        Sides of a pixel, um, and who says so; None where they are not known. `known` counts them
+        as equal then.
     """
 
     frames: Array
     known: Known
     sample: Sample
+    pixel_size: io.PixelSize | None
 
 
 def read_scene(pair: Pair) -> Scene:
     """Read and check all that a pair describes, before any long work.
+
+    Parameters
+    ----------
+    pair : Pair
+        Files, and words such as those of the command ``eofm sample``.
 
     Raises
     ------
@@ -62,7 +74,8 @@ def read_scene(pair: Pair) -> Scene:
     >>> scene.frames.shape, sorted(scene.known.edges)
     ((2, 40, 60), ['top'])
     """
-    frames = _frames(pair)
+    frames, pixel_size = _frames(pair)
+    sides = pixel_size.sides if pixel_size else None
     roi = _roi(pair, frames.shape[1:])
     window = np.s_[roi[1] : roi[1] + roi[3], roi[0] : roi[0] + roi[2]]
     dead = _dead(pair, frames.shape[1:])[window]
@@ -80,7 +93,7 @@ def read_scene(pair: Pair) -> Scene:
         compression=0.0,
     )
     texts = {edge: getattr(pair, edge) for edge in faces(2)}
-    states = {e: parse_edge(e, text, sample.shape, pair.pixel_size) for e, text in texts.items()}
+    states = {e: parse_edge(e, text, sample.shape, sides) for e, text in texts.items()}
     edges: dict[Edge, Array] = {}
     beyond: list[Edge] = []
     for edge, state in states.items():
@@ -93,16 +106,27 @@ def read_scene(pair: Pair) -> Scene:
             edges[edge] = place.part(FACES[edge], state.motion)
         if outside or state.outside:
             beyond.append(edge)
-    background = _background(pair, sample, states, place)
-    known = Known(None, background, edges, dead, pair.pixel_size, tuple(beyond))
-    return Scene(frames, known, sample.changed(height=roi[3], width=roi[2]))
+    alike = sides or (1.0,) * (frames.ndim - 1)
+    background = _background(pair, sample, states, place, alike)
+    known = Known(None, background, edges, dead, alike, tuple(beyond))
+    return Scene(frames, known, sample.changed(height=roi[3], width=roi[2]), pixel_size)
 
 
-def _frames(pair: Pair) -> Array:
+def _frames(pair: Pair) -> tuple[Array, io.PixelSize | None]:
+    """The frames, and the size of their pixels."""
+    files = [Path(name) for name in pair.files]
     if pair.frames is not None:
-        frames = io.read_stack(Path(pair.frames))
+        scans = [io.read_stack(files[0])]
+        frames = scans[0].values
     else:
-        frames = np.stack(io.read_pair(Path(pair.reference or ""), Path(pair.deformed or "")))
+        scans = list(io.read_scans(files[0], files[1], ndim=2))
+        frames = np.stack([scan.values for scan in scans])
+    named = dict(zip(pair.files, scans, strict=True))
+    return _scaled(pair, frames), io.pixel_size(named, frames.ndim - 1, pair.sides)
+
+
+def _scaled(pair: Pair, frames: Array) -> Array:
+    """The frames, or their logarithm."""
     if pair.intensity == "log":
         if frames.min() < 0:
             raise InputError("intensity: log of negative values; use linear")
@@ -163,9 +187,13 @@ def _extent(pair: Pair, roi: Region) -> Region:
 
 
 def _background(
-    pair: Pair, sample: Sample, states: dict[Edge, EdgeState], place: Place
+    pair: Pair,
+    sample: Sample,
+    states: dict[Edge, EdgeState],
+    place: Place,
+    sides: tuple[float, ...],
 ) -> Array | None:
-    """The background field of the region of interest."""
+    """The background field of the region of interest, of pixels of any ``sides``."""
     (width, height), (x1, x2) = place.size, place.offset
     if pair.background == "none":
         return None
@@ -176,5 +204,5 @@ def _background(
         raise InputError(
             "background: an elastic one wants an edge that is fixed or moved; say so of one"
         )
-    u = deform(sample, motion, pixel_size=pair.pixel_size)
+    u = deform(sample, motion, pixel_size=sides)
     return u[:, x2 : x2 + height, x1 : x1 + width]

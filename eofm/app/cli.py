@@ -6,6 +6,7 @@ inside the functions, so that ``--help`` is instant.
 """
 
 import argparse
+import logging
 import signal
 import sys
 import threading
@@ -34,6 +35,7 @@ from eofm.settings import (
     Pair,
     Phantom,
     Sample,
+    Scale,
     Section,
     Tracking,
     VirtualOct,
@@ -125,7 +127,7 @@ def virtual_oct(
     """
     from eofm.simulation.virtual_oct import make_tomograms
 
-    u, u_bg = io.read_field(displacement), io.read_field(homogeneous)
+    u, u_bg = io.read_field(displacement, ndim=2), io.read_field(homogeneous, ndim=2)
     experiment = make_tomograms(u, u_bg, settings)
     io.write_image(reference, experiment.I1)
     io.write_image(deformed, experiment.I2)
@@ -160,6 +162,7 @@ def estimate(
     reference: Before,
     deformed: After,
     settings: Estimation,
+    scale: Scale,
     *,
     output: Field,
     bubbles: Bubbles = None,
@@ -185,16 +188,20 @@ def estimate(
     from eofm.flow.estimate import estimate_displacement
     from eofm.flow.known import Known
 
-    I1, I2 = io.read_pair(reference, deformed)
+    first, second = io.read_scans(reference, deformed)
+    I1, I2 = first.values, second.values
+    size = io.pixel_size({str(reference): first, str(deformed): second}, I1.ndim, scale.sides)
+    sides = size.sides if size else None
     known = Known(
         bubbles=io.read_bubbles(bubbles) if bubbles else None,
         background=io.read_field(background, I1.shape) if background else None,
+        pixel_size=sides or (1.0,) * I1.ndim,
     )
     estimate = estimate_displacement(I1, I2, settings, known, progress=True)
     bars = estimate.deviation() if deviation else None
-    io.write_field(output, estimate.u)
+    io.write_field(output, estimate.u, sides=sides)
     if deviation and bars is not None:
-        io.write_field(deviation, bars)
+        io.write_field(deviation, bars, sides=sides, of="deviation")
     return estimate.trust
 
 
@@ -227,14 +234,14 @@ def stiffness(
     from eofm.identification.stiffness import identify_stiffness
     from eofm.identification.uncertainty import deviations
 
-    I1, I2 = io.read_pair(reference, deformed)
+    I1, I2 = io.read_pair(reference, deformed, ndim=2)
     known = Known(bubbles=io.read_bubbles(bubbles) if bubbles else None)
     identified = identify_stiffness(I1, I2, sample, settings, estimation, known, progress=True)
     bars = deviations(identified) if deviation or stiffness_deviation else None
     io.write_image(output, identified.E)
     io.write_field(displacement, identified.estimate.u)
     if bars and deviation:
-        io.write_field(deviation, bars[0])
+        io.write_field(deviation, bars[0], of="deviation")
     if bars and stiffness_deviation:
         io.write_image(stiffness_deviation, bars[1])
     print(identified.summary())
@@ -301,6 +308,7 @@ def sample(
         )
     except InputError as error:
         raise InputError(f"{folder.name}: {error}") from None
+    results.summary["pixel_size_from"] = scene.pixel_size.source if scene.pixel_size else None
     folder.mkdir(parents=True, exist_ok=True)
     results.write(folder, pair.files, KINDS[pair.figures])
     return results.trust
@@ -328,28 +336,34 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns 0 if it worked, 1 if its input cannot be used, and 3 if what it wrote must not be
     trusted; wrong usage ends with 2.
     """
-    args = _parser().parse_args(argv)
-    name = _name(args.step)
+    args = parser().parse_args(argv)
     try:
-        use_threads(args.threads)
-        io.limit_size(args.max_size)
-        given = arguments_of(args.step, args)
-        Files.of(args.step, given).check()
-        sections = {k: v.model_dump(mode="json") for k, v in given.items() if _is_section(v)}
-        with _ending_in_order(), io.together(), io.Origin(name, sections).recorded():
-            trust: Trust | None = args.step(**given)
-    except (InputError, OSError) as error:
-        print(f"eofm {name}: {error}", file=sys.stderr)
-        return 1
-    except MemoryError:
-        print(
-            f"eofm {name}: not enough memory for such sizes; use smaller images,"
-            " windows or regions, or larger elements",
-            file=sys.stderr,
-        )
+        return run(args)
+    except (InputError, OSError, MemoryError) as error:
+        print(f"eofm {_name(args.step)}: {in_words(error)}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        return 130
+        return 128 + signal.SIGINT
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the step of a parsed command line; return its exit status, see :func:`main`.
+
+    Raises
+    ------
+    InputError
+        If its input cannot be used.
+    OSError, MemoryError
+        If the machine fails it: what was asked for may work at another time.
+    """
+    name = _name(args.step)
+    use_threads(args.threads)
+    io.limit_size(args.max_size)
+    given = arguments_of(args.step, args)
+    Files.of(args.step, given).check()
+    sections = {k: v.model_dump(mode="json") for k, v in given.items() if _is_section(v)}
+    with _said(name), _ending_in_order(), io.together(), io.Origin(name, sections).recorded():
+        trust: Trust | None = args.step(**given)
     if trust is None:
         return 0
     for reason in trust.reasons:
@@ -357,8 +371,35 @@ def main(argv: Sequence[str] | None = None) -> int:
     return FAILED if trust.verdict == "failed" else 0
 
 
+def in_words(error: BaseException) -> str:
+    """What an error of :func:`run` says to the user."""
+    if isinstance(error, MemoryError):
+        return (
+            "not enough memory for such sizes; use smaller images, windows or regions, or larger"
+            " elements"
+        )
+    return str(error)
+
+
 def _is_section(value: object) -> bool:
     return isinstance(value, Section)
+
+
+@contextmanager
+def _said(name: str) -> Iterator[None]:
+    """Say on standard error, a line each, what the library notes of its input."""
+    logger = logging.getLogger("eofm")
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(logging.Formatter(f"eofm {name}: %(message)s"))
+    level, logger.propagate = logger.level, False
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
+        logger.propagate = True
 
 
 @contextmanager
@@ -382,11 +423,12 @@ def _name(step: Step) -> str:
     return step.__name__.replace("_", "-")
 
 
-def _parser() -> argparse.ArgumentParser:
+def parser() -> argparse.ArgumentParser:
+    """The parser of all steps."""
     formatter = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser("eofm", description=DESCRIPTION, formatter_class=formatter)
-    parser.add_argument("--version", action="version", version=f"eofm {version('eofm')}")
-    steps = parser.add_subparsers(title="steps", metavar="STEP", required=True)
+    words = argparse.ArgumentParser("eofm", description=DESCRIPTION, formatter_class=formatter)
+    words.add_argument("--version", action="version", version=f"eofm {version('eofm')}")
+    steps = words.add_subparsers(title="steps", metavar="STEP", required=True)
     for step in STEPS:
         summary, _, rest = (step.__doc__ or "").partition("\n")
         text = "\n".join(line.removeprefix("    ") for line in rest.splitlines())
@@ -411,7 +453,7 @@ def _parser() -> argparse.ArgumentParser:
             help="largest image or field to read (default: a quarter of the memory there is)",
         )
         add_options(sub, step)
-    return parser
+    return words
 
 
 if __name__ == "__main__":

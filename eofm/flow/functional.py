@@ -41,6 +41,12 @@ def pairs(ndim: int) -> list[tuple[int, int]]:
     return list(combinations_with_replacement(range(ndim), 2))
 
 
+def unit(v: Array) -> Array:
+    """Entries of the identity, to be added to those of matrices that act on a field."""
+    entries = [float(i == j) for i, j in pairs(len(v))]
+    return np.reshape(np.asarray(entries, v.dtype), (-1, *[1] * len(v)))
+
+
 @dataclass(frozen=True)
 class Pointwise:
     """Density of a quadratic term without derivatives, ``v . A v - 2 v . b``.
@@ -121,8 +127,8 @@ def edge_term(grid: Grid, motion: dict[Edge, Array], weight: float) -> Pointwise
     for edge, g in motion.items():
         face = FACES[edge]
         depth = grid.weights[face.component][0]
-        a[face.pixels()] += weight / depth
-        b[:, *face.pixels()] += weight / depth * g
+        a[face.pixels(grid.ndim)] += weight / depth
+        b[:, *face.pixels(grid.ndim)] += weight / depth * g
     return isotropic(a, b)
 
 

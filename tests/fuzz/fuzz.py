@@ -62,8 +62,7 @@ def read(kind: str, path: Path) -> None:
             raise InputError(" ".join(str(error).split())[:200]) from None
     else:
         I = io.read_image(path)
-        assert I.dtype == np.float64
-        assert I.ndim == 2
+        assert (I.ndim, I.dtype) in ((2, np.float64), (3, np.float32))
         assert np.isfinite(I).all()
 
 
