@@ -206,15 +206,16 @@ class ImagePair:
 
     def _linearise(self, u: Array) -> tuple[Match, Array, Array]:
         """Images linearised about a displacement, the gradient of I1, and local contrast."""
-        samples = self.grid.samples(u)
+        samples, after = self.grid.samples(u), Spline(self.I2, self.straight)
         if self.mean:
-            warped, g, inside = self._spline.warp_with_gradient(samples, self.grid.spacing)
+            warped, g, inside = after.warp_with_gradient(samples, self.grid.spacing)
         else:
-            warped, inside = self._spline.warp(samples)
+            warped, inside = after.warp(samples)
+        del after
         used = inside & self.live
         if not self.live_after.all():
             used &= Spline(self.live_after.astype(u.dtype)).warp(samples)[0] > LIVE
-        g1 = self._reference.gradient(self.grid.spacing)
+        g1 = Spline(self.I1, self.straight).gradient(self.grid.spacing)
         I1, contrast = self.I1, np.ones((), u.dtype)
         if self.robust and used.any():
             gain, offset, contrast = brightness(I1, warped, used)
@@ -227,14 +228,6 @@ class ImagePair:
             g = g1
         warped -= I1
         return Match(self.grid, u, g, warped, used), g1, contrast
-
-    @cached_property
-    def _spline(self) -> Spline:
-        return Spline(self.I2, self.straight)
-
-    @cached_property
-    def _reference(self) -> Spline:
-        return Spline(self.I1, self.straight)
 
 
 def brightness(I1: Array, warped: Array, used: Mask) -> tuple[Array, Array, Array]:

@@ -28,8 +28,9 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from eofm.errors import InputError
 from eofm.flow import galerkin, galerkin3, stencils, stencils3
 from eofm.flow.functional import Quadratic, pairs
-from eofm.flow.stencils import SC, TC, Between, M, Operator, Real, Transfer, axis_table
+from eofm.flow.operator import SC, TC, Between, M, Operator, Real, Transfer, axis_tables
 from eofm.grid import Array, Mask
+from eofm.threads import serial
 
 # The compiled loops for images and volumes.
 LOOPS = {2: stencils, 3: stencils3}
@@ -55,7 +56,7 @@ ALIKE = math.sqrt(2) + 1e-6
 # The fourth order needs more of each; between sharp bubbles it is stiff on small scales.
 CYCLE = {
     2: {"gradient": (2, 4, 1), "bending": (3, 12, 2)},
-    3: {"gradient": (2, 4, 1), "bending": (5, 12, 1)},
+    3: {"gradient": (2, 4, 1), "bending": (4, 12, 2)},
 }
 
 
@@ -97,21 +98,22 @@ def multigrid(
     NotConverged
         If ``max_iterations`` reach neither ``tol`` nor ``change``.
     """
-    loops, operator = LOOPS[F.grid.ndim], finest(F)
+    loops, operator = LOOPS[F.grid.ndim], F.operator()
     top = hierarchy(F)
     precision = operator.A.dtype
     r = _load(F, precision)
     size = loops.norm(r)
     x, p = (np.zeros_like(top.x, precision) for _ in range(2))
-    # The iterate before serves nobody between corrections.
-    borrow = isinstance(top, Level) and F.grid.ndim == 3 and top.y.dtype == precision
-    q = top.y if borrow else np.empty_like(r)
+    # In volumes K p takes the place of an iterate that serves nobody between corrections.
+    fits = r.ndim == 4 and top.x.dtype == precision
+    lender = top if fits and isinstance(top, Level) else None
+    q = lender.y if lender else np.empty_like(r)
     if size == 0:
         return _inner(x)
     if initial is not None:
         np.multiply(initial, F.free, out=_inner(x), casting="same_kind")
         loops.product(q, x, operator)
-        rest = _inner(q) if borrow else q
+        rest = _inner(q) if lender else q
         np.subtract(r, rest, out=rest)
         if loops.norm(q) < size:
             r[...] = rest
@@ -130,7 +132,7 @@ def multigrid(
         z = top.correct(b)
         before, zr = zr, loops.dot(z, r).sum()
         loops.redirect(p, z, zr / before)
-        q = top.y if borrow else q
+        q = lender.y if lender else q
         pq = loops.product(q, p, operator).sum()
         squares = loops.advance(x, r, b, p, q, zr / pq).reshape(2, -1).sum(axis=1)
         residual, changed = math.sqrt(squares[0]) / size, math.sqrt(squares[1] / F.free.size)
@@ -242,7 +244,9 @@ class Coarsest:
             column = np.broadcast_to(column, number.shape)[lower]
             band[number[lower] - column, column] = q[lower]
         band[0, number[:, ~free]] = 1.0
-        self.factor = cholesky_banded(band, lower=True, check_finite=False)
+        # The larger bands of volumes BLAS would share among threads, with other sums.
+        factorise = cholesky_banded if free.ndim == 2 else serial(cholesky_banded)
+        self.factor = factorise(band, lower=True, check_finite=False)
 
     def correct(self, b: Real, visits: int = 1) -> Real:
         """Field K^-1 b."""
@@ -254,7 +258,7 @@ class Coarsest:
 
 def hierarchy(F: Quadratic) -> Level | Coarsest:
     """The finest grid, linked to the coarser ones."""
-    operator = finest(F)
+    operator = F.operator()
     stiffness, area = _stiffness(operator)
     A, free, own = operator.A, operator.free, operator.A.dtype
     degree, high_degree, visits = CYCLE[free.ndim][F.smoothness]
@@ -284,7 +288,7 @@ def hierarchy(F: Quadratic) -> Level | Coarsest:
         spacing = tuple(
             h * (n - 1) / (coarse - 1) for h, (n, coarse) in zip(spacing, sides, strict=True)
         )
-        axes = _axes(shape, spacing, F.alpha, operator.bending)
+        axes = axis_tables(shape, spacing, F.alpha, operator.bending)
         for component, axis in enumerate(axes):
             A /= axis[M].astype(own).reshape(-1, *[1] * component)
         rounded = tuple(between.rounded(precision) for between in transfer)
@@ -294,20 +298,6 @@ def hierarchy(F: Quadratic) -> Level | Coarsest:
     for operator, transfer in reversed(levels):
         top = Level(operator, degree, visits, transfer, top)
     return top
-
-
-def finest(F: Quadratic) -> Operator:
-    """The operator K of a functional, in its precision, with factors of the smoothness in double.
-
-    Products in single precision are then summed in double: those of smooth motions and
-    the bending energy would else be lost in rounding.
-    """
-    bending = F.smoothness == "bending"
-    precision = np.result_type(F.terms.A, F.terms.b, np.float32)
-    A = np.require(F.terms.A, precision, ["C", "W"])
-    free = np.require(F.free, np.bool_, ["C", "W"])
-    axes = _axes(F.grid.shape, F.grid.spacing, F.alpha, bending)
-    return Operator(A, np.empty((0, *F.grid.shape), precision), free, axes, bending)
 
 
 def _stiffness(K: Operator) -> tuple[float, float]:
@@ -361,11 +351,3 @@ def _rigid_energy(F: Quadratic, stiffness: float) -> Array:
     if not F.free.all():
         E[range(n), range(n)] += stiffness * energy(~F.free)
     return np.block([list(row) for row in E])
-
-
-def _axes(
-    shape: tuple[int, ...], spacing: tuple[float, ...], alpha: float, bending: bool
-) -> tuple[Array, ...]:
-    """Factors of the smoothness term of a grid, along each component."""
-    sides = zip(shape[::-1], spacing, strict=True)
-    return tuple(axis_table(n, float(h), alpha, bending) for n, h in sides)
