@@ -46,6 +46,13 @@ GRADING = 3
 def true_field(sample: Sample, forward: Forward = Forward()) -> Array:
     """Displacement of a sample with its inclusions.
 
+    Parameters
+    ----------
+    sample : Sample
+        Size, materials, inclusions, and how it is pressed.
+    forward : Forward
+        Size of the elements.
+
     Returns
     -------
     ndarray, shape (2, height, width) or (3, depth, height, width)
@@ -66,6 +73,13 @@ def true_field(sample: Sample, forward: Forward = Forward()) -> Array:
 
 def background_field(sample: Sample, forward: Forward = Forward()) -> Array:
     """The field u_bg of the same experiment without inclusions, eq. (Ansatz).
+
+    Parameters
+    ----------
+    sample : Sample
+        Size, materials and how it is pressed; its inclusions are not used.
+    forward : Forward
+        Largest estimated error.
 
     Returns
     -------
