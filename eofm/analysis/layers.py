@@ -65,8 +65,10 @@ def _layers(
     for i in range(n):
         name = f"u{i + 1} {NAMES[i]} [{unit}]"
         yield _image(factors[i] * u[i], name, "viridis" if i == 1 else "diverging")
+    if (path := folder / "deviation.tif").is_file():
+        for i, bars in enumerate(_pages(path, n)):
+            yield _image(factors[i] * bars, f"error bar of u{i + 1} [{unit}]", "magma")
     for file, names, colours in (
-        ("deviation", [f"error bar of u{i + 1} [px]" for i in range(n)], "magma"),
         ("strain", labels(n), "diverging"),
         ("trust", ["match of the images"], "cividis"),
         ("stiffness", ["relative modulus"], "viridis"),

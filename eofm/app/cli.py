@@ -322,7 +322,7 @@ def view(
       eofm view results/mine
 
     Images, displacement with its vectors, strain and error bars, in um where the size of a pixel is
-    known. Needs napari: pip install 'eofm[view]'.
+    known and in px else. Needs napari: pip install 'eofm[view]'.
     """
     from eofm.analysis.layers import layers
 
