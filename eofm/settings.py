@@ -131,10 +131,13 @@ def _explain(error: ValidationError) -> str:
 
 
 class Inclusion(Section):
-    """An inclusion: a disc or an ellipse along the axes."""
+    """An inclusion: a disc or an ellipse along the axes, in a volume a sphere or an ellipsoid."""
 
     x1: float = Field(ge=-FAR, le=FAR, description="lateral position of the centre, px")
     x2: float = Field(ge=-FAR, le=FAR, description="axial position of the centre (down), px")
+    x3: Annotated[float, Field(ge=-FAR, le=FAR)] | None = Field(
+        None, description="elevational position of the centre, px; of a volume alone"
+    )
     radius: Positive = Field(description="radius, of an ellipse the mean of its logarithms, px")
     aspect: Positive = Field(1.0, description="lateral over axial radius; 1 is a disc")
     stiffness: Positive = Field(description="Young's modulus relative to the background")
@@ -147,8 +150,13 @@ class Sample(Section):
         ge=8, le=FAR, description="rows of the image, which shows the whole sample, px"
     )
     width: int = Field(ge=8, le=FAR, description="columns of the image, px")
+    depth: Annotated[int, Field(ge=8, le=FAR)] | None = Field(
+        None, description="slices of the volume, px; none: an image"
+    )
     poisson_ratio: float = Field(0.49, gt=0, lt=0.5, description="Poisson ratio of all materials")
-    plane: Literal["strain", "stress"] = Field("strain", description="plane strain or plane stress")
+    plane: Literal["strain", "stress"] = Field(
+        "strain", description="plane strain or plane stress, of an image"
+    )
     inclusions: tuple[Inclusion, ...] = Field((), description="what differs from the background")
     compression: float = Field(3.0, description="upward motion of the bottom, px")
     contact: Literal["clamped", "slip"] = Field(
@@ -156,9 +164,10 @@ class Sample(Section):
     )
 
     @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
-        return self.height, self.width
+    def shape(self) -> tuple[int, ...]:
+        """Rows and columns, of a volume slices first."""
+        image = self.height, self.width
+        return image if self.depth is None else (self.depth, *image)
 
     @model_validator(mode="after")
     def _compression_fits(self) -> Self:
@@ -169,11 +178,23 @@ class Sample(Section):
             )
         return self
 
+    @model_validator(mode="after")
+    def _dimensions_agree(self) -> Self:
+        if self.depth is not None and self.plane == "stress":
+            raise ValueError("plane: a volume has no plane stress; leave it out")
+        for k, part in enumerate(self.inclusions):
+            if (part.x3 is None) != (self.depth is None):
+                wants = "no x3" if self.depth is None else "x3, as the sample has a depth"
+                raise ValueError(f"inclusions: number {k + 1} wants {wants}")
+        return self
+
 
 class Forward(Section):
     """Accuracy of the forward model."""
 
-    true_cell: Positive = Field(1.0, description="side of the elements for the true field, px")
+    true_cell: Positive | None = Field(
+        None, description="side of the elements for the true field, px; none: 1, of a volume 3"
+    )
     background_error: Positive = Field(
         1e-3, description="largest estimated error of the background field, px"
     )
@@ -455,6 +476,9 @@ class Measures(Section):
     strain_window: Positive | None = Field(
         None, description="Gaussian window of the strain's local linear fits, um; none: 3 px"
     )
+    strain_measure: Literal["small", "green-lagrange", "almansi", "hencky"] = Field(
+        "small", description="small strain, or a measure of large ones"
+    )
     error_bars: int = Field(
         16, ge=0, le=10_000, description="samples for the standard deviations; 0 leaves them out"
     )
@@ -547,8 +571,13 @@ class Pair(Measures, Scale):
 class Figures(Section):
     """How the figures look."""
 
-    pixel_size: tuple[Positive, Positive] = Field(
-        (5.0, 5.0), description="lateral and axial side of a pixel, um"
+    pixel_size: tuple[Positive, Positive] | tuple[Positive, Positive, Positive] = Field(
+        (5.0, 5.0), description="lateral, axial (and elevational) side of a pixel, um"
     )
+    unit: Literal["um", "px"] = Field("um", description="of positions and displacements")
     levels: int = Field(12, ge=2, le=50, description="number of level lines in a panel")
     dpi: int = Field(200, ge=50, le=1200, description="resolution of the PNG files, dots per inch")
+
+    def sides(self, ndim: int) -> tuple[float, ...]:
+        """Sides of a pixel of an image, or of a voxel, um; as deep as it is wide by default."""
+        return (*self.pixel_size, self.pixel_size[0])[:ndim]

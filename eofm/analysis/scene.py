@@ -49,6 +49,11 @@ class Scene:
 def read_scene(pair: Pair) -> Scene:
     """Read and check all that a pair describes, before any long work.
 
+    Parameters
+    ----------
+    pair : Pair
+        Files, and words such as those of the command ``eofm sample``.
+
     Raises
     ------
     InputError

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from eofm.elasticity.forward import lame
+from eofm.elasticity.material import lame
 from eofm.grid import FACES, Array, Edge, along_face
 from eofm.settings import Sample
 
@@ -48,7 +48,7 @@ class Elastic:
     sample: Sample
     motion: dict[Edge, Array]
     cell: float = 2.5
-    spacing: tuple[float, float] = (1.0, 1.0)
+    spacing: tuple[float, ...] = (1.0, 1.0)
     loose: tuple[Edge, ...] = ()
 
     @cached_property

@@ -10,6 +10,7 @@ Every row is computed by one thread, and sums over rows are left to the caller: 
 do not depend on the number of threads.
 """
 
+import math
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -85,20 +86,19 @@ class Operator(NamedTuple):
     A: Real
     G: Real
     free: Mask
-    axes: tuple[Real, Real]
+    axes: tuple[Real, ...]
     bending: bool
 
     @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns of the grid."""
-        n, m = self.free.shape
-        return n, m
+    def shape(self) -> tuple[int, ...]:
+        """That of the grid."""
+        return self.free.shape
 
     def rounded(self, precision: DTypeLike) -> Self:
         """The same in another precision."""
         A, G = (array.astype(precision, copy=False) for array in (self.A, self.G))
-        lateral, axial = (axis.astype(precision, copy=False) for axis in self.axes)
-        return type(self)(A, G, self.free, (lateral, axial), self.bending)
+        axes = tuple(axis.astype(precision, copy=False) for axis in self.axes)
+        return type(self)(A, G, self.free, axes, self.bending)
 
 
 class Between(NamedTuple):
@@ -128,8 +128,8 @@ class Between(NamedTuple):
         return type(self)(self.J, self.t.astype(precision, copy=False))
 
 
-# Along (lateral, axial).
-Transfer = tuple[Between, Between]
+# Along each component.
+Transfer = tuple[Between, ...]
 
 
 @njit
@@ -255,6 +255,11 @@ def _chebyshev(first, last, y, x, b, c1, c2, from_zero, K):
         _chebyshev_row(y, x, b, i, c1, c2, from_zero, K)
 
 
+def weights(step: int) -> tuple[float, float]:
+    """Those of :func:`chebyshev` in a step, c1 and c2."""
+    return max(0.0, (2 * step - 3) / (2 * step + 1)), (8 * step - 4) / (2 * step + 1)
+
+
 def chebyshev(y: Real, x: Real, b: Real, step: int, from_zero: bool, K: Operator) -> None:
     """Overwrite the field y, the iterate before x, by the iterate after it.
 
@@ -262,9 +267,8 @@ def chebyshev(y: Real, x: Real, b: Real, step: int, from_zero: bool, K: Operator
     of ``|alpha R|``. Thus K <= D (Gershgorin for R, Jensen for the pointwise term): no
     eigenvalue of D^-1 K exceeds 1. Steps count from 1; one from zero makes x zero.
     """
-    number = b.dtype.type
-    c1, c2 = max(0.0, (2 * step - 3) / (2 * step + 1)), (8 * step - 4) / (2 * step + 1)
-    share(_chebyshev, K.shape[0], K.free.size, y, x, b, number(c1), number(c2), from_zero, K)
+    c1, c2 = map(b.dtype.type, weights(step))
+    share(_chebyshev, K.shape[0], K.free.size, y, x, b, c1, c2, from_zero, K)
 
 
 @compiled
@@ -361,6 +365,12 @@ def dot(z: Real, r: Array) -> Array:
     sums = np.empty(r.shape[1])
     share(_dots, r.shape[1], r.size, sums, z, r)
     return sums
+
+
+def norm(r: Real) -> float:
+    """Euclidean norm of a functional."""
+    # Without BLAS, whose sums depend on the number of threads.
+    return math.sqrt(np.einsum("cij,cij->", r, r))
 
 
 @compiled
