@@ -27,7 +27,7 @@ check: .venv/installed docs
 	$(BIN)/snakefmt --check Snakefile workflow
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache --no-logo
-	$(BIN)/python workflow/scripts/lint.py
+	$(BIN)/snakemake --lint
 	$(BIN)/python workflow/scripts/quote_numbers.py --check
 
 # The site, in docs/_build/html; examples run again after an edit of the library.

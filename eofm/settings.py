@@ -476,6 +476,9 @@ class Measures(Section):
     strain_window: Positive | None = Field(
         None, description="Gaussian window of the strain's local linear fits, um; none: 3 px"
     )
+    strain_measure: Literal["small", "green-lagrange", "almansi", "hencky"] = Field(
+        "small", description="small strain, or a measure of large ones"
+    )
     error_bars: int = Field(
         16, ge=0, le=10_000, description="samples for the standard deviations; 0 leaves them out"
     )
@@ -568,8 +571,13 @@ class Pair(Measures, Scale):
 class Figures(Section):
     """How the figures look."""
 
-    pixel_size: tuple[Positive, Positive] = Field(
-        (5.0, 5.0), description="lateral and axial side of a pixel, um"
+    pixel_size: tuple[Positive, Positive] | tuple[Positive, Positive, Positive] = Field(
+        (5.0, 5.0), description="lateral, axial (and elevational) side of a pixel, um"
     )
+    unit: Literal["um", "px"] = Field("um", description="of positions and displacements")
     levels: int = Field(12, ge=2, le=50, description="number of level lines in a panel")
     dpi: int = Field(200, ge=50, le=1200, description="resolution of the PNG files, dots per inch")
+
+    def sides(self, ndim: int) -> tuple[float, ...]:
+        """Sides of a pixel of an image, or of a voxel, um; as deep as it is wide by default."""
+        return (*self.pixel_size, self.pixel_size[0])[:ndim]

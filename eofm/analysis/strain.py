@@ -1,11 +1,11 @@
 """Strain from displacement."""
 
 from collections.abc import Callable, Sequence
-from itertools import combinations
 
 import numpy as np
 from scipy import ndimage
 
+from eofm.analysis.tensors import Measure, measured, pairs
 from eofm.errors import InputError
 from eofm.grid import Array, precision
 
@@ -19,8 +19,10 @@ FILTER = "local linear least squares with Gaussian weights"
 LINES = 32
 
 
-def strain(u: Array, pixel_size: Sequence[float], window: float) -> Array:
-    """Linearised strain of a displacement field.
+def strain(
+    u: Array, pixel_size: Sequence[float], window: float, measure: Measure = "small"
+) -> Array:
+    """Strain of a displacement field.
 
     Parameters
     ----------
@@ -30,13 +32,15 @@ def strain(u: Array, pixel_size: Sequence[float], window: float) -> Array:
         Sides of a pixel, um; of an image two count.
     window : float
         Standard deviation of the Gaussian weights, um.
+    measure : {"small", "green-lagrange", "almansi", "hencky"}
+        See `eofm.analysis.tensors`.
 
     Returns
     -------
     ndarray, shape (3, height, width) or (6, depth, height, width)
-        ``e11 = d1 u1`` (lateral), ``e22 = d2 u2`` (axial; negative under compression) and
-        ``e12 = (d1 u2 + d2 u1) / 2`` (shear), without unit; of a volume e11, e22, e33, e12,
-        e13, e23.
+        e11 (lateral), e22 (axial; negative under compression), e33 (elevational), then the shear
+        strains e12, e13, e23, without unit. Of small strains, ``e11 = d1 u1`` and
+        ``e12 = (d1 u2 + d2 u1) / 2``.
 
     Raises
     ------
@@ -67,13 +71,15 @@ def strain(u: Array, pixel_size: Sequence[float], window: float) -> Array:
         f *= sides[i] / sides[j]
         return f
 
-    pairs = list(combinations(range(n), 2))
-    e = np.empty((n + len(pairs), *u.shape[1:]), precision(n))
-    for i in range(n):
-        e[i] = derivative(i, i)
-    for shear, (i, j) in zip(e[n:], pairs, strict=True):
-        np.add(derivative(j, i), derivative(i, j), out=shear)
-        shear /= 2
+    if measure != "small":
+        G = np.stack([np.stack([derivative(i, j) for j in range(n)]) for i in range(n)])
+        return measured(G, measure)
+    e = np.empty((len(pairs(n)), *u.shape[1:]), precision(n))
+    for out, (i, j) in zip(e, pairs(n), strict=True):
+        out[:] = derivative(j, i)
+        if i != j:
+            out += derivative(i, j)
+            out /= 2
     return e
 
 

@@ -336,33 +336,49 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns 0 if it worked, 1 if its input cannot be used, and 3 if what it wrote must not be
     trusted; wrong usage ends with 2.
     """
-    args = _parser().parse_args(argv)
-    name = _name(args.step)
+    args = parser().parse_args(argv)
     try:
-        use_threads(args.threads)
-        io.limit_size(args.max_size)
-        given = arguments_of(args.step, args)
-        Files.of(args.step, given).check()
-        sections = {k: v.model_dump(mode="json") for k, v in given.items() if _is_section(v)}
-        with _said(name), _ending_in_order(), io.together(), io.Origin(name, sections).recorded():
-            trust: Trust | None = args.step(**given)
-    except (InputError, OSError) as error:
-        print(f"eofm {name}: {error}", file=sys.stderr)
-        return 1
-    except MemoryError:
-        print(
-            f"eofm {name}: not enough memory for such sizes; use smaller images,"
-            " windows or regions, or larger elements",
-            file=sys.stderr,
-        )
+        return run(args)
+    except (InputError, OSError, MemoryError) as error:
+        print(f"eofm {_name(args.step)}: {in_words(error)}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        return 130
+        return 128 + signal.SIGINT
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the step of a parsed command line; return its exit status, see :func:`main`.
+
+    Raises
+    ------
+    InputError
+        If its input cannot be used.
+    OSError, MemoryError
+        If the machine fails it: what was asked for may work at another time.
+    """
+    name = _name(args.step)
+    use_threads(args.threads)
+    io.limit_size(args.max_size)
+    given = arguments_of(args.step, args)
+    Files.of(args.step, given).check()
+    sections = {k: v.model_dump(mode="json") for k, v in given.items() if _is_section(v)}
+    with _said(name), _ending_in_order(), io.together(), io.Origin(name, sections).recorded():
+        trust: Trust | None = args.step(**given)
     if trust is None:
         return 0
     for reason in trust.reasons:
         print(f"eofm {name}: {trust.verdict}: {reason}", file=sys.stderr)
     return FAILED if trust.verdict == "failed" else 0
+
+
+def in_words(error: BaseException) -> str:
+    """What an error of :func:`run` says to the user."""
+    if isinstance(error, MemoryError):
+        return (
+            "not enough memory for such sizes; use smaller images, windows or regions, or larger"
+            " elements"
+        )
+    return str(error)
 
 
 def _is_section(value: object) -> bool:
@@ -407,11 +423,12 @@ def _name(step: Step) -> str:
     return step.__name__.replace("_", "-")
 
 
-def _parser() -> argparse.ArgumentParser:
+def parser() -> argparse.ArgumentParser:
+    """The parser of all steps."""
     formatter = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser("eofm", description=DESCRIPTION, formatter_class=formatter)
-    parser.add_argument("--version", action="version", version=f"eofm {version('eofm')}")
-    steps = parser.add_subparsers(title="steps", metavar="STEP", required=True)
+    words = argparse.ArgumentParser("eofm", description=DESCRIPTION, formatter_class=formatter)
+    words.add_argument("--version", action="version", version=f"eofm {version('eofm')}")
+    steps = words.add_subparsers(title="steps", metavar="STEP", required=True)
     for step in STEPS:
         summary, _, rest = (step.__doc__ or "").partition("\n")
         text = "\n".join(line.removeprefix("    ") for line in rest.splitlines())
@@ -436,7 +453,7 @@ def _parser() -> argparse.ArgumentParser:
             help="largest image or field to read (default: a quarter of the memory there is)",
         )
         add_options(sub, step)
-    return parser
+    return words
 
 
 if __name__ == "__main__":

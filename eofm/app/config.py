@@ -181,6 +181,9 @@ class Config(Section):
     volume: Volume = Volume()
     studies: Studies = Studies()
     samples: str = Field("config/samples.tsv", description="table of your own image pairs (TSV)")
+    container: str = Field(
+        "eofm.sif", description="image for rules that run in containers, see profiles/README.md"
+    )
 
     def variant(self, name: str) -> Estimation:
         """Settings of one row of Table 1."""

@@ -9,7 +9,7 @@ from eofm.flow.functional import Pointwise, data_term
 from eofm.grid import Array, Grid, Mask, precision
 from eofm.imaging.gaussian import blur
 from eofm.imaging.intensity import Window
-from eofm.imaging.splines import Spline
+from eofm.imaging.splines import Spline, gradient
 
 # Side of the blocks of pixels that are held out together, and whose residuals are taken to
 # be correlated, px: the size of a bubble and more.
@@ -190,13 +190,13 @@ class ImagePair:
         """Images linearised about a displacement, the gradient of I1, and local contrast."""
         samples = self.grid.samples(u)
         if self.mean:
-            warped, g, inside = self._spline.warp_with_gradient(samples, self.grid.spacing)
+            warped, g, inside = Spline(self.I2).warp_with_gradient(samples, self.grid.spacing)
         else:
-            warped, inside = self._spline.warp(samples)
+            warped, inside = Spline(self.I2).warp(samples)
         used = inside & self.live
         if not self.live_after.all():
             used &= Spline(self.live_after.astype(u.dtype)).warp(samples)[0] > LIVE
-        g1 = self._reference.gradient(self.grid.spacing)
+        g1 = gradient(self.I1, self.grid.spacing)
         I1, contrast = self.I1, np.ones((), u.dtype)
         if self.robust and used.any():
             gain, offset, contrast = brightness(I1, warped, used)
@@ -209,14 +209,6 @@ class ImagePair:
             g = g1
         warped -= I1
         return Match(self.grid, u, g, warped, used), g1, contrast
-
-    @cached_property
-    def _spline(self) -> Spline:
-        return Spline(self.I2)
-
-    @cached_property
-    def _reference(self) -> Spline:
-        return Spline(self.I1)
 
 
 def brightness(I1: Array, warped: Array, used: Mask) -> tuple[Array, Array, Array]:

@@ -55,7 +55,7 @@ ALIKE = math.sqrt(2) + 1e-6
 # The fourth order needs more of each; between sharp bubbles it is stiff on small scales.
 CYCLE = {
     2: {"gradient": (2, 4, 1), "bending": (3, 12, 2)},
-    3: {"gradient": (2, 4, 1), "bending": (5, 12, 1)},
+    3: {"gradient": (2, 4, 1), "bending": (4, 12, 2)},
 }
 
 

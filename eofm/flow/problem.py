@@ -1,7 +1,7 @@
 """What is minimised on each scale, and one step of it."""
 
 from dataclasses import dataclass
-from typing import NamedTuple, Self
+from typing import NamedTuple, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,11 +90,11 @@ class Problem:
         ``u`` is the field of the grid before. Where R acts on updates, it takes the part of u_bg.
         """
         settings, grid, finest = self.settings, self.grids[number], number == len(self.grids) - 1
-        u = self.carried(u, grid.shape)
         u_bg = base = resize_field(self.u_bg, grid.shape)
         edges, motion, known = _on_edges(grid, self.v_edges), self.motion, []
         if settings.smoothness_of == "update":
-            base, v = u, u - u_bg
+            base = self.carried(u, grid.shape)
+            v = base - u_bg
             motion = motion - evaluate_field(v, self.x / np.reshape(grid.spacing, (-1, 1)))
             edges = {edge: g - v[:, *FACES[edge].pixels(grid.ndim)] for edge, g in edges.items()}
         if self.x.size and (settings.speckle_scales == "all" or not finest):
@@ -108,7 +108,7 @@ class Problem:
         prescribed, free = _prescribed(grid, edges)
         still = settings.warped_by == "nothing" or (number == 0 and settings.start == "zero")
         return Level(
-            settings, pair, u, u_bg, base, prescribed, free, tuple(known), decides, finest, still
+            self, pair, u, u_bg, base, prescribed, free, tuple(known), decides, finest, still
         )
 
     def carried(self, u: Array, shape: tuple[int, ...]) -> Array:
@@ -129,10 +129,12 @@ class Level:
 
     Attributes
     ----------
-    settings : Estimation
+    problem : Problem
     pair : ImagePair
-    u, u_bg : ndarray, shape (ndim, ...)
-        The field so far, and the background.
+    coarse : ndarray, shape (ndim, ...)
+        The field of the grid before.
+    u_bg : ndarray, shape (ndim, ...)
+        The background on this one.
     base : ndarray, shape (ndim, ...)
         The field to which this grid adds ``v``, all of it or an update: u_bg, or what coarser
         grids have made of it.
@@ -148,9 +150,9 @@ class Level:
         Whether the images are linearised about no motion first.
     """
 
-    settings: Estimation
+    problem: Problem
     pair: ImagePair
-    u: Array
+    coarse: Array
     u_bg: Array
     base: Array
     prescribed: Array
@@ -163,7 +165,7 @@ class Level:
     def functional(self, match: Match, alpha: float) -> Quadratic:
         """F of ``v`` less what is prescribed."""
         terms = sum(self.terms, start=match.density(self.base))
-        F = Quadratic(self.pair.grid, terms, alpha, self.free, self.settings.smoothness)
+        F = Quadratic(self.pair.grid, terms, alpha, self.free, self.problem.settings.smoothness)
         return F.shifted(self.prescribed)
 
     def improve(self, chosen: tuple[float, ...], progress: bool) -> "Improved":
@@ -171,11 +173,13 @@ class Level:
 
         ``chosen`` are the weights that coarser grids have chosen.
         """
-        settings, u = self.settings, self.u
+        settings, F = self.problem.settings, cast(Quadratic, None)
+        u = self.problem.carried(self.coarse, self.pair.grid.shape)
         about = self.base + self.prescribed if self.prescribed.any() else self.base
         # The first field of a scale may still be far from it, and its residual no noise.
         near = min(1, settings.warps - 1)
         for warp in range(settings.warps):
+            del F  # what is not needed any more makes room: of volumes it is the half
             match = self._linearised(u, self.still and warp == 0, warp >= near)
             alpha = settings.alpha or combined(chosen) or first_alpha(match)
             if self.decides and warp == near:
@@ -183,6 +187,7 @@ class Level:
                 chosen = *chosen, trial
                 alpha = combined(chosen) or trial
             F = self.functional(match, alpha)
+            del match
             last = warp == settings.warps - 1 and (
                 self.finest or settings.smoothness_of == "update"
             )
@@ -193,9 +198,10 @@ class Level:
 
     def _linearised(self, u: Array, still: bool, near: bool) -> Match:
         """The images linearised about what I2 is warped by."""
-        by = u - self.u_bg if self.settings.warped_by == "v" else u
+        settings = self.problem.settings
+        by = u - self.u_bg if settings.warped_by == "v" else u
         by = nothing(self.pair.grid.shape) if still else by
-        denoising = self.settings.denoising
+        denoising = settings.denoising
         return self.pair.linearise_near(by, denoising) if near else self.pair.linearise(by)
 
 

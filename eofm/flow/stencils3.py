@@ -196,7 +196,7 @@ def _dot(u, q):
 @njit
 def _inside(q, c, k, i, shape):
     """A row of a functional, or of the inside of a field."""
-    l, n, m = shape
+    m = shape[2]
     b = (q.shape[3] - m) // 2
     return q[c, k + b, i + b, b : b + m]
 
@@ -230,7 +230,7 @@ def product(q: Real, u: Real, K: Operator) -> Array:
 
 @njit(fastmath=FAST)
 def _correct(w, a):
-    """Overwrite residuals in w by D^-1 times them: ``D = volume A + bound``, factorised as L D L'."""
+    """Overwrite residuals in w by D^-1 times them, with ``D = volume A + bound``, factorised."""
     a11, a12, a13, a22, a23, a33 = a
     for j in range(a11.size):
         f, bound = w[VOLUME * LINE + j], w[BOUND * LINE + j]

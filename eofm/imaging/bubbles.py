@@ -64,7 +64,8 @@ def track(
         One row per bubble: ``x1``, ``x2`` (centre of mass before compression) and ``u1``,
         ``u2`` (displacement), px, with ``x3`` and ``u3`` in a volume; ``area``, px^2, see
         :func:`detect`; ``brightness``, peak above the threshold with both images in [0, 1];
-        ``quality``, correlation of the two windows, at most 1.
+        ``quality``, correlation of the two windows, at most 1. Its ``attrs["found"]`` is the
+        number of bubbles in the first image.
 
     Raises
     ------
@@ -109,7 +110,9 @@ def track(
     moved = {f"u{k}": c for k, c in enumerate(motion, 1)}
     table = before.iloc[i].assign(**moved, quality=quality)[good]
     names = [f"x{k}" for k in range(1, I1.ndim + 1)] + [*moved]
-    return table[[*names, "area", "brightness", "quality"]].reset_index(drop=True)
+    table = table[[*names, "area", "brightness", "quality"]].reset_index(drop=True)
+    table.attrs["found"] = len(before)
+    return table
 
 
 def _places(bubbles: pd.DataFrame) -> Array:

@@ -109,7 +109,7 @@ def defects(I: Array) -> Mask:
         return np.zeros(I.shape, dtype=bool)
     found = above > HIGHLIGHT * np.quantile(peaks, 0.75)
     top = (above >= np.max(above, where=~found, initial=0.0)).view(np.uint8)
-    for axis in range(I.ndim):
+    for axis in range(I.ndim if np.count_nonzero(top) >= LINE else 0):
         # A line is what a segment of LINE pixels can cover: of an opening, both steps.
         starts = ndimage.minimum_filter1d(top, LINE, axis, mode="constant")
         lines = ndimage.maximum_filter1d(starts, LINE, axis, mode="constant", origin=-1)

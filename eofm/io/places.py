@@ -1,16 +1,21 @@
 """Where files are written: each complete or not at all, and those of a step as one.
 
 A file is written beside its place and then moved there, so that a failure, an interruption or
-a full disk leaves nothing half-written.
+a full disk leaves nothing half-written. What kill -9 leaves, the next step that writes there
+clears away.
 """
 
+import errno
 import os
+import platform
+import re
 import signal
 import stat
 import tempfile
 import threading
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
 
@@ -22,6 +27,13 @@ _moves: ContextVar[list[Move] | None] = ContextVar("moves", default=None)
 
 # Endings by format, and formats that a name with another ending would belie.
 ENDINGS = {"TIFF": (".tif", ".tiff"), "CSV": (".csv", ".txt"), "JSON": (".json",)}
+
+# Temporary files say whose they are: machine and process.
+TEMPORARY = re.compile(r"\.eofm-(?P<machine>.*)-(?P<process>\d+)-[^-]*")
+# Those of other machines are left alone for so long, s.
+DAY = 86400
+# Signals that end a process.
+ENDING = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
 def check_place(path: Path, format: str | None = None) -> None:
@@ -62,10 +74,11 @@ def replacing(path: Path) -> Iterator[Path]:
     """
     check_place(path)
     place = path.resolve()
-    handle, name = tempfile.mkstemp(dir=place.parent, prefix=".eofm-", suffix=path.suffix)
-    os.close(handle)
-    temporary, waits = Path(name), False
+    clear(place.parent)
+    temporary, waits = None, False
     try:
+        with _uninterrupted():  # so that what was made is known
+            temporary = _temporary(place, path)
         yield temporary
         mask = os.umask(0)
         os.umask(mask)
@@ -74,10 +87,49 @@ def replacing(path: Path) -> Iterator[Path]:
         if not waits:
             temporary.replace(place)
     except OSError as error:
+        if temporary is not None and error.errno is None:
+            error = _asked_again(temporary) or error
         raise _named(error, path) from None
     finally:
-        if not waits:
+        if temporary is not None and not waits:
             temporary.unlink(missing_ok=True)
+
+
+def clear(folder: Path) -> None:
+    """Remove temporary files of processes that have ended."""
+    with os.scandir(folder) as entries:
+        found = [(e, m) for e in entries if (m := TEMPORARY.fullmatch(e.name))]
+    for entry, match in found:
+        # Another process may clear, or finish, at the same time.
+        with suppress(FileNotFoundError):
+            if match["machine"] == platform.node():
+                stale = not _is_alive(int(match["process"]))
+            else:
+                stale = time.time() - entry.stat().st_mtime > DAY
+            if stale:
+                os.unlink(entry.path)
+
+
+def _is_alive(process: int) -> bool:
+    if os.name != "posix":  # where asking so would end it
+        return True
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # another user's
+        return True
+    return True
+
+
+def _temporary(place: Path, path: Path) -> Path:
+    prefix = f".eofm-{platform.node()}-{os.getpid()}-"
+    try:
+        handle, name = tempfile.mkstemp(dir=place.parent, prefix=prefix, suffix=place.suffix)
+    except OSError as error:
+        raise _named(error, path) from None
+    os.close(handle)
+    return Path(name)
 
 
 def remove(path: Path) -> None:
@@ -125,20 +177,45 @@ def _later(move: Move) -> bool:
 
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
-    """Let signals that end the process wait, where the system knows how."""
-    if not hasattr(signal, "pthread_sigmask") or (
-        threading.current_thread() is not threading.main_thread()
-    ):
+    """Let signals that end the process wait.
+
+    Handlers of our own note them: a mask would hold for this thread, and the system would hand
+    the signal to another, such as those of compiled loops.
+    """
+    if threading.current_thread() is not threading.main_thread():
         yield
         return
-    held = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, held)
+    caught: list[int] = []
+    before = {}
     try:
+        for name in ENDING:
+            number = getattr(signal, name, None)  # not all of them are on Windows
+            if number is not None:
+                before[number] = signal.signal(number, lambda number, _: caught.append(number))
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        for number, handler in before.items():
+            signal.signal(number, handler if handler is not None else signal.SIG_DFL)
+        for number in caught[:1]:
+            signal.raise_signal(number)
+
+
+def _asked_again(temporary: Path) -> OSError | None:
+    """Why no more can be written, which NumPy does not say of its arrays."""
+    try:
+        with temporary.open("ab") as file:
+            file.write(bytes(1 << 16))
+    except OSError as error:
+        return error
+    return None
 
 
 def _named(error: OSError, path: Path) -> OSError:
-    """The same error, which names the file that was to be written."""
-    return OSError(f"{path}: cannot be written ({error.strerror or error})")
+    """The same error, which names the file that was to be written, and a disk that is full."""
+    why = error.strerror or str(error)
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        disk = path.resolve().parent
+        while not os.path.ismount(disk):
+            disk = disk.parent
+        why += f"; free some of the disk at {disk}, or write elsewhere"
+    return OSError(f"{path}: cannot be written ({why})")

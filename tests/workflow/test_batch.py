@@ -37,6 +37,7 @@ def test_an_edit_reruns_its_row_and_a_broken_row_costs_itself(tmp_path):
     words += [f"--deformed={files[1]}"]
     rows = {
         name: {"words": [*words, *more], "files": files, "log": str(tmp_path / f"{name}.log")}
+        | {"seconds": 600}
         for name, more in {"one": [], "bad": ["--top=glued"], "two": []}.items()
     }
     folder = tmp_path / "results"

@@ -25,6 +25,8 @@ rule preset:
         "logs/preset.log",
     benchmark:
         "benchmarks/preset.tsv"
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=1000,
     params:
@@ -50,6 +52,8 @@ rule stiffness:
         "logs/stiffness.log",
     benchmark:
         "benchmarks/stiffness.tsv"
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=2000,
     params:
@@ -83,6 +87,8 @@ rule figures_ours:
         "logs/figures_ours.log",
     benchmark:
         "benchmarks/figures_ours.tsv"
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=500,
     params:
@@ -108,6 +114,8 @@ rule figure_stiffness:
         "logs/figures/stiffness.log",
     benchmark:
         "benchmarks/figures/stiffness.tsv"
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=500,
     params:

@@ -37,6 +37,8 @@ rule benchmark_pair:
     wildcard_constraints:
         image="dense|sparse",
         size=r"\d+",
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=2000,
     params:
@@ -61,6 +63,8 @@ rule benchmark_estimate:
     wildcard_constraints:
         tool="|".join(settings.benchmark.largest),
         size=r"\d+",
+    conda:
+        "../envs/eofm.yaml"
     threads: workflow.cores
     resources:
         mem_mb=6000,
@@ -86,6 +90,8 @@ rule benchmark_solver:
         regulariser="|".join(REGULARISERS),
         image="dense|sparse",
         size=r"\d+",
+    conda:
+        "../envs/eofm.yaml"
     threads: workflow.cores
     resources:
         mem_mb=6000,
@@ -127,6 +133,8 @@ rule benchmark_tables:
         "logs/benchmark/tables.log",
     benchmark:
         "benchmarks/benchmark/tables.tsv"
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=500,
     params:

@@ -1,7 +1,6 @@
 """Checked settings, and what every rule needs to state its command and its inputs."""
 
 import os
-import shlex
 import sys
 from functools import cache
 from pathlib import Path
@@ -11,31 +10,42 @@ import eofm.app.config
 from eofm.errors import InputError
 from eofm.settings import WARPING
 
-SCRIPTS = Path(os.path.relpath(Path(workflow.basedir) / "workflow/scripts"))
+# The checkout, also where another workflow has ours as a module.
+CHECKOUT = Path(str(workflow.current_basedir)).parents[1]
+SCRIPTS = Path(os.path.relpath(CHECKOUT / "workflow/scripts"))
 sys.path.insert(0, str(SCRIPTS))
 from commands import options, read_samples, sample_files, sample_words
+from deploy import prefix
 from imports import Sources
 from parts import memory, minutes, parts, pixels
 from runs import only_run
 
-# Jobs run with this interpreter's commands, whatever the PATH of the caller.
 # A step that ends with 3 has written a result that it says not to trust: the log says why, and
 # what follows shows it.
-shell.prefix(
-    f"set -euo pipefail; export PATH={shlex.quote(str(Path(sys.executable).parent))}:$PATH; "
-)
+shell.prefix(prefix(CHECKOUT, workflow.deployment_settings.deployment_method))
 
-if workflow.is_main_process and workflow.executor_plugin and not workflow.dryrun:
-    try:
-        LOCK = only_run(Path(".snakemake"))
-    except InputError as error:
-        sys.exit(str(error))
+# The lock of the folder is held as long as this process lives.
+LOCKS = []
+
+
+onstart:
+    if workflow.is_main_process:
+        try:
+            LOCKS.append(only_run(Path(".snakemake")))
+        except InputError as error:
+            sys.exit(str(error))
+
 
 try:
     settings = eofm.app.config.Config.parse(config, "configuration")
     SAMPLES = read_samples(settings.samples)
 except InputError as error:
     sys.exit(f"{error}; every key is explained in config/README.md")
+
+
+# Where a site wants rules to run in one: --software-deployment-method apptainer.
+container: settings.container
+
 
 TESTS = list(settings.tests)
 # Past the paper: the preset, and the preset with the identified sample's background.

@@ -27,6 +27,8 @@ rule numbers_paper:
         "logs/numbers/paper.log",
     benchmark:
         "benchmarks/numbers/paper.tsv"
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=1000,
     params:
@@ -46,6 +48,8 @@ rule numbers_ensemble:
         "logs/numbers/ensemble.log",
     benchmark:
         "benchmarks/numbers/ensemble.tsv"
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=300,
     params:
@@ -81,6 +85,8 @@ rule numbers_studies:
         "logs/numbers/studies.log",
     benchmark:
         "benchmarks/numbers/studies.tsv"
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=300,
     params:

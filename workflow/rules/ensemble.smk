@@ -38,6 +38,8 @@ rule ensemble_phantom:
         "benchmarks/ensemble/{number}.tsv"
     wildcard_constraints:
         number=r"\d+",
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=2000,
     params:
@@ -73,6 +75,8 @@ rule ensemble_peers:
         "benchmarks/ensemble/{number}-peers.tsv"
     wildcard_constraints:
         number=r"\d+",
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=1000,
     params:
@@ -102,6 +106,8 @@ rule ensemble_figure:
         "logs/ensemble/table.log",
     benchmark:
         "benchmarks/ensemble/table.tsv"
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=500,
     params:

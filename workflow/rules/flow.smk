@@ -13,6 +13,8 @@ rule track:
         "logs/track.log",
     benchmark:
         "benchmarks/track.tsv"
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=500,
     params:
@@ -41,6 +43,8 @@ rule estimate:
         "benchmarks/estimate/{test}.tsv"
     wildcard_constraints:
         test="|".join(TESTS),
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=1000,
     params:

@@ -10,6 +10,8 @@ rule true_field:
         "logs/true_field.log",
     benchmark:
         "benchmarks/true_field.tsv"
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=2000,
     params:
@@ -27,6 +29,8 @@ rule background_field:
         "logs/background_field.log",
     benchmark:
         "benchmarks/background_field.tsv"
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=1000,
     params:
@@ -47,6 +51,8 @@ rule phantom:
         "logs/phantom.log",
     benchmark:
         "benchmarks/phantom.tsv"
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=500,
     params:

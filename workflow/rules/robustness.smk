@@ -27,6 +27,8 @@ rule robustness_pair:
     wildcard_constraints:
         scene="|".join(SCENES),
         half="|".join(HALVES),
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=2000,
     params:
@@ -49,6 +51,8 @@ rule robustness_table:
         "logs/robustness/table.log",
     benchmark:
         "benchmarks/robustness/table.tsv"
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=500,
     shell:

@@ -8,10 +8,14 @@ PARTS = list(parts(SAMPLES))
 rule samples:
     input:
         table=f"{OWN}/summary.csv",
+        # Those that crashed are missing.
+        states=expand("{folder}/{sample}/state.json", folder=OWN, sample=SAMPLES),
         script=SCRIPTS / "samples_check.py",
     log:
         "logs/samples_check.log",
     localrule: True
+    conda:
+        "../envs/eofm.yaml"
     shell:
         "python {input.script} {input.table} > {log} 2>&1"
 
@@ -33,6 +37,8 @@ for number, names in enumerate(PARTS):
             f"logs/samples_{number}.log",
         benchmark:
             f"benchmarks/samples_{number}.tsv"
+        conda:
+            "../envs/eofm.yaml"
         threads: 1 if max(sizes) < 1_000_000 else 4
         resources:
             mem_mb=memory(max(sizes)),
@@ -44,8 +50,9 @@ for number, names in enumerate(PARTS):
                     "words": sample_words(SAMPLES[name]),
                     "files": sample_files(SAMPLES[name]),
                     "log": f"logs/samples/{name}.log",
+                    "seconds": 60 * minutes([size]),
                 }
-                for name in names
+                for name, size in zip(names, sizes)
             },
         script:
             "../scripts/sample_part.py"
@@ -72,6 +79,8 @@ rule samples_summary:
     benchmark:
         "benchmarks/samples_summary.tsv"
     localrule: True
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=300,
     script:

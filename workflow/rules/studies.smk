@@ -43,6 +43,8 @@ rule study_part:
     wildcard_constraints:
         study="|".join(STUDY_TABLES),
         part=r"\d+",
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=1000,
     params:
@@ -65,6 +67,8 @@ rule study_fits:
         "benchmarks/studies/fits-{part}.tsv"
     wildcard_constraints:
         part=r"\d+",
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=1000,
     params:
@@ -86,6 +90,8 @@ rule study_theory:
         "logs/studies/theory-0.log",
     benchmark:
         "benchmarks/studies/theory-0.tsv"
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=1000,
     params:
@@ -126,6 +132,8 @@ for study, parts in STUDY_PARTS.items():
             f"logs/studies/{study}.log",
         benchmark:
             f"benchmarks/studies/{study}.tsv"
+        conda:
+            "../envs/eofm.yaml"
         resources:
             mem_mb=500,
         params:

@@ -23,6 +23,8 @@ rule table1:
         "logs/table1.log",
     benchmark:
         "benchmarks/table1.tsv"
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=300,
     params:

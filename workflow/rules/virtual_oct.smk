@@ -35,6 +35,8 @@ rule virtual_oct_tomograms:
         "logs/virtual_oct/tomograms.log",
     benchmark:
         "benchmarks/virtual_oct/tomograms.tsv"
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=1000,
     params:
@@ -57,6 +59,8 @@ rule virtual_oct_track:
         "logs/virtual_oct/track.log",
     benchmark:
         "benchmarks/virtual_oct/track.tsv"
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=500,
     params:
@@ -89,6 +93,8 @@ rule virtual_oct_estimate:
         "benchmarks/virtual_oct/{method}.tsv"
     wildcard_constraints:
         method="|".join(METHODS),
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=1000,
     params:
@@ -139,6 +145,8 @@ rule virtual_oct_report:
         "logs/virtual_oct/report.log",
     benchmark:
         "benchmarks/virtual_oct/report.tsv"
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=500,
     params:

@@ -1,13 +1,19 @@
 """Run a part of the table of samples; see sample_rows.py."""
 
+import sys
 from pathlib import Path
 
 from sample_rows import run_rows
 
 if __name__ == "__main__":
-    run_rows(
-        snakemake.params.rows,
-        Path(snakemake.params.folder),
-        list(snakemake.input.code),
-        snakemake.threads,
-    )
+    try:
+        run_rows(
+            snakemake.params.rows,
+            Path(snakemake.params.folder),
+            list(snakemake.input.code),
+            snakemake.threads,
+        )
+    except OSError as error:  # not even the state of a row can be written
+        sys.exit(str(error))
+    except KeyboardInterrupt:
+        sys.exit("interrupted; the next run goes on with the rows that are left")

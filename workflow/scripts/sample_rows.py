@@ -1,13 +1,15 @@
 """Rows of the table of samples, one after the other in one process.
 
-A row that cannot be used, or that ends the process, costs only itself. Rows whose results are
-there and come from the same options, files and code are left as they are.
+A row that cannot be used, ends the process or takes too long costs only itself. Rows whose results
+are there and come from the same options, files and code are left as they are; rows that crashed,
+which need not be their fault, are tried again by the next run.
 """
 
 import contextlib
 import hashlib
 import json
 import os
+import signal
 import threading
 import time
 from concurrent.futures import ProcessPoolExecutor
@@ -17,8 +19,13 @@ from pathlib import Path
 from typing import Any
 
 STATE = "state.json"
-# Exit statuses of the step with results, and without.
+# Exit statuses of the step with results.
 DONE, NOT_TRUSTED = 0, 3
+# Exit status of wrong usage.
+WRONG = 2
+ENDED = "its process ended, perhaps for want of memory"
+# States of rows whose results are there, which cannot have any, and which may have them next time.
+READY, UNUSABLE, CRASHED = "done", "unusable", "crashed"
 
 
 def run_rows(rows: dict[str, dict[str, Any]], folder: Path, code: list[str], threads: int) -> None:
@@ -27,7 +34,8 @@ def run_rows(rows: dict[str, dict[str, Any]], folder: Path, code: list[str], thr
     Parameters
     ----------
     rows : dict
-        Of each sample its `words`, of the step's command line, its `files` and its `log`.
+        Of each sample its `words`, of the step's command line, its `files`, its `log`, and the
+        `seconds` that it may take.
     folder : Path
         Folder of the folders of results.
     code : list of str
@@ -43,13 +51,15 @@ def run_rows(rows: dict[str, dict[str, Any]], folder: Path, code: list[str], thr
         key = _key(row["words"], row["files"], made_by)
         if _has_results(place, key):
             continue
-        _clear(place)
+        (place / STATE).unlink(missing_ok=True)
         Path(row["log"]).parent.mkdir(parents=True, exist_ok=True)
         words = ["sample", f"--folder={place}", f"--threads={threads}", *row["words"]]
         started = time.monotonic()
         try:
-            status = pool.submit(_run, words, row["log"]).result()
+            status = pool.submit(_run, place, words, row["log"], row["seconds"]).result()
         except BrokenProcessPool:
+            late = time.monotonic() - started >= row["seconds"]
+            _say(name, row, f"took longer than {row['seconds']} s" if late else ENDED)
             status, pool = None, _pool()
         state = {"sample": name} | _state(status, place, Path(row["log"]))
         state |= {"seconds": round(time.monotonic() - started, 2), "key": key}
@@ -73,18 +83,38 @@ def _end_with_parent() -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def _run(words: list[str], log: str) -> int:
-    """Run the step with all that it says in a log."""
-    from eofm.app.cli import main
+def _run(place: Path, words: list[str], log: str, seconds: int) -> int | None:
+    """Run the step with all that it says in a log; None is for what may work next time."""
+    from eofm.analysis.report import RESULTS
+    from eofm.app.cli import in_words, parser, run
+    from eofm.errors import InputError
 
+    # Nothing old is to be taken for new.
+    for name in RESULTS:
+        (place / name).unlink(missing_ok=True)
+
+    # Ends this process even where compiled code never returns.
+    signal.alarm(seconds)
     with open(log, "w", buffering=1) as file, contextlib.redirect_stderr(file):
         try:
-            return main(words)
-        except SystemExit as error:
-            return error.code if isinstance(error.code, int) else 1
+            return run(parser().parse_args(words))
+        except SystemExit as error:  # wrong usage, or SIGTERM
+            return error.code if error.code == WRONG else None
+        except InputError as error:
+            print(f"eofm sample: {error}", file=file)
+            return 1
+        except (OSError, MemoryError) as error:
+            print(f"eofm sample: {in_words(error)}", file=file)
+            return None
         except Exception as error:
             print(f"eofm sample: {type(error).__name__}: {error}", file=file)
             return 1
+        finally:
+            signal.alarm(0)
+
+
+def _say(name: str, row: dict[str, Any], what: str) -> None:
+    Path(row["log"]).write_text(f"eofm sample: {name}: {what}\n")
 
 
 def _state(status: int | None, place: Path, log: Path) -> dict[str, Any]:
@@ -92,11 +122,9 @@ def _state(status: int | None, place: Path, log: Path) -> dict[str, Any]:
     said = log.read_text() if log.exists() else ""
     reason = " ".join(said.split()).removeprefix("eofm sample: ").removeprefix(f"{place.name}: ")
     if status is None:
-        reason = f"its process ended (memory?); remove {place} to try again"
-        log.write_text(f"eofm sample: {place.name}: {reason}\n")
-        return {"state": "crashed", "reason": reason}
+        return {"state": CRASHED, "reason": f"{reason}; the next run tries it again"}
     if status not in (DONE, NOT_TRUSTED):
-        return {"state": "unusable", "reason": reason}
+        return {"state": UNUSABLE, "reason": reason}
     summary = json.loads((place / "summary.json").read_text())
     order = ("good", "doubtful", "failed")
     trust = max(summary["trust"], key=lambda step: order.index(step["verdict"]))
@@ -111,7 +139,7 @@ def _state(status: int | None, place: Path, log: Path) -> dict[str, Any]:
         "forward_backward_error_median_px": summary["forward_backward_error_median_px"],
     }
     return {
-        "state": "done",
+        "state": READY,
         "reason": "; ".join(trust.get("reasons", [])),
         "verdict": trust["verdict"],
         **figures,
@@ -123,21 +151,12 @@ def _has_results(place: Path, key: str) -> bool:
         state = json.loads((place / STATE).read_text())
     except (OSError, ValueError):
         return False
-    wanted = state.get("state") != "done" or (place / "summary.json").is_file()
-    return state.get("key") == key and state.get("state") != "crashed" and wanted
-
-
-def _clear(place: Path) -> None:
-    """Remove what an earlier run has left, so that nothing old is taken for new."""
-    (place / STATE).unlink(missing_ok=True)
-    from eofm.analysis.report import RESULTS
-
-    for name in RESULTS:
-        (place / name).unlink(missing_ok=True)
+    wanted = state.get("state") != READY or (place / "summary.json").is_file()
+    return state.get("key") == key and state.get("state") != CRASHED and wanted
 
 
 def _key(words: list[str], files: list[str], made_by: list[str]) -> str:
-    read = {file: _checksum(file) for file in files}
+    read = {file: _checksum(file) for file in files if os.path.isfile(file)}
     return hashlib.sha256(json.dumps([words, read, made_by]).encode()).hexdigest()
 
 
@@ -148,5 +167,8 @@ def _checksum(file: str) -> str:
 
 def _write(path: Path, state: dict[str, Any]) -> None:
     temporary = path.with_suffix(".tmp")
-    temporary.write_text(json.dumps(state, indent=1) + "\n")
-    temporary.replace(path)
+    try:
+        temporary.write_text(json.dumps(state, indent=1) + "\n")
+        temporary.replace(path)
+    except OSError as error:
+        raise OSError(f"{path}: cannot be written ({error.strerror})") from None
