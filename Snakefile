@@ -20,6 +20,7 @@ include: "workflow/rules/ensemble.smk"
 include: "workflow/rules/robustness.smk"
 include: "workflow/rules/volume.smk"
 include: "workflow/rules/benchmark.smk"
+include: "workflow/rules/benchmark_volume.smk"
 include: "workflow/rules/studies.smk"
 include: "workflow/rules/docs.smk"
 

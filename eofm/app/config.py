@@ -56,6 +56,34 @@ class Benchmark(Section):
     seed: int = Field(1, ge=0, description="seed of the images")
 
 
+VolumeTool = Literal["eofm", "eofm_preset", "tvl1", "ilk", "elastix", "demons", "aldvc"]
+
+
+class BenchmarkVolume(Section):
+    """The same of volumes, and the cases of al-dvc."""
+
+    sizes: tuple[Annotated[int, Field(ge=24)], ...] = Field(
+        (64, 128, 256), description="sides of the cubes, voxels"
+    )
+    largest: dict[VolumeTool, int] = Field(
+        {
+            "eofm": 256,
+            "eofm_preset": 256,
+            "tvl1": 128,
+            "ilk": 128,
+            "elastix": 128,
+            "demons": 128,
+            "aldvc": 128,
+        },
+        description="the tools, and the largest size for which each is run; beyond 128 voxels on"
+        " two threads",
+    )
+    cases: int = Field(
+        128, ge=48, description="longest side of the volumes with al-dvc's motions, voxels"
+    )
+    seed: int = Field(1, ge=0, description="seed of the volumes")
+
+
 Renderer = Literal["bubbles", "brightest", "strained", "speckle", "oct"]
 
 
@@ -176,6 +204,7 @@ class Config(Section):
     preset: Estimation = Estimation()
     identification: Identification = Identification()
     benchmark: Benchmark = Benchmark()
+    benchmark_volume: BenchmarkVolume = BenchmarkVolume()
     ensemble: Ensemble = Ensemble()
     robustness: Robustness = Robustness()
     volume: Volume = Volume()

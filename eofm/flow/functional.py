@@ -124,8 +124,8 @@ def edge_term(grid: Grid, motion: dict[Edge, Array], weight: float) -> Pointwise
     for edge, g in motion.items():
         face = FACES[edge]
         depth = grid.weights[face.component][0]
-        a[face.pixels()] += weight / depth
-        b[:, *face.pixels()] += weight / depth * g
+        a[face.pixels(grid.ndim)] += weight / depth
+        b[:, *face.pixels(grid.ndim)] += weight / depth * g
     return isotropic(a, b)
 
 

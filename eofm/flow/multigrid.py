@@ -30,6 +30,7 @@ from eofm.flow import galerkin, galerkin3, stencils, stencils3
 from eofm.flow.functional import Quadratic, pairs
 from eofm.flow.stencils import SC, TC, Between, M, Operator, Real, Transfer, axis_table
 from eofm.grid import Array, Mask
+from eofm.threads import serial
 
 # The compiled loops for images and volumes.
 LOOPS = {2: stencils, 3: stencils3}
@@ -103,15 +104,16 @@ def multigrid(
     r = _load(F, precision)
     size = loops.norm(r)
     x, p = (np.zeros_like(top.x, precision) for _ in range(2))
-    # The iterate before serves nobody between corrections.
-    borrow = isinstance(top, Level) and F.grid.ndim == 3 and top.y.dtype == precision
-    q = top.y if borrow else np.empty_like(r)
+    # In volumes K p takes the place of an iterate that serves nobody between corrections.
+    fits = r.ndim == 4 and top.x.dtype == precision
+    lender = top if fits and isinstance(top, Level) else None
+    q = lender.y if lender else np.empty_like(r)
     if size == 0:
         return _inner(x)
     if initial is not None:
         np.multiply(initial, F.free, out=_inner(x), casting="same_kind")
         loops.product(q, x, operator)
-        rest = _inner(q) if borrow else q
+        rest = _inner(q) if lender else q
         np.subtract(r, rest, out=rest)
         if loops.norm(q) < size:
             r[...] = rest
@@ -130,7 +132,7 @@ def multigrid(
         z = top.correct(b)
         before, zr = zr, loops.dot(z, r).sum()
         loops.redirect(p, z, zr / before)
-        q = top.y if borrow else q
+        q = lender.y if lender else q
         pq = loops.product(q, p, operator).sum()
         squares = loops.advance(x, r, b, p, q, zr / pq).reshape(2, -1).sum(axis=1)
         residual, changed = math.sqrt(squares[0]) / size, math.sqrt(squares[1] / F.free.size)
@@ -242,7 +244,9 @@ class Coarsest:
             column = np.broadcast_to(column, number.shape)[lower]
             band[number[lower] - column, column] = q[lower]
         band[0, number[:, ~free]] = 1.0
-        self.factor = cholesky_banded(band, lower=True, check_finite=False)
+        # The larger bands of volumes BLAS would share among threads, with other sums.
+        factorise = cholesky_banded if free.ndim == 2 else serial(cholesky_banded)
+        self.factor = factorise(band, lower=True, check_finite=False)
 
     def correct(self, b: Real, visits: int = 1) -> Real:
         """Field K^-1 b."""

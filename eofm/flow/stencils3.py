@@ -34,85 +34,133 @@ from eofm.flow.stencils import (
 )
 from eofm.grid import Array, Mask
 
-# Columns of a block, and lines of w: K u, u, the differences of neighbours, the volume of a node,
-# the bound of the smoothness term, and one for derivatives across.
+# Columns of a block, and lines of w. Three each, with the same distance for all components: K u;
+# what is still to be multiplied along the row, or differences of neighbours; and u. One each: the
+# volume of a node and the bound of the smoothness term.
 WIDE = 256
 LINE = WIDE + 16
-S, V, D, VOLUME, BOUND, ACROSS, LINES = 0, 3, 6, 9, 10, 11, 12
+ACROSS, V, VOLUME, BOUND, LINES = 3, 6, 9, 10, 11
 # Slices of a coarse grid that are made together.
 STRIP = 8
 FAST = {"contract"}
 
 
 @njit(fastmath=FAST)
-def _smoothness(s, v, u, k, i, j, axes, bending):
-    """Columns of a row of alpha R u from j on: u is (l + 4, n + 4, m + 4), s is (size,)."""
+def _rows(s, rows, f, g, size, bending):
+    """Sums of five rows, times factors f and, for bending, times g on the third line after."""
+    r0, r1, r2, r3, r4 = rows
+    f0, f1, f2, f3, f4 = f
+    g0, g1, g2, g3, g4 = g
+    if bending:
+        for x in range(size):
+            v0, v1, v2, v3, v4 = r0[x], r1[x], r2[x], r3[x], r4[x]
+            s[x] = f0 * v0 + (f1 * v1 + f2 * v2) + (f3 * v3 + f4 * v4)
+            s[ACROSS * LINE + x] = g0 * v0 + (g1 * v1 + g2 * v2) + (g3 * v3 + g4 * v4)
+    else:
+        for x in range(size):
+            s[x] = f0 * r0[x] + (f1 * r1[x] + f2 * r2[x]) + (f3 * r3[x] + f4 * r4[x])
+
+
+@njit(fastmath=FAST)
+def _more_rows(s, near, far, f, g, size):
+    """Add four rows and four others, times factors."""
+    (p0, p1, p2, p3), (q0, q1, q2, q3) = near, far
+    (f0, f1, f2, f3), (g0, g1, g2, g3) = f, g
+    for x in range(size):
+        s[x] += ((f0 * p0[x] + f1 * p1[x]) + (f2 * p2[x] + f3 * p3[x])) + (
+            (g0 * q0[x] + g1 * q1[x]) + (g2 * q2[x] + g3 * q3[x])
+        )
+
+
+@njit(fastmath=FAST)
+def _along(s, u, X, j, w, size, bending):
+    """``m s + T t + w S u`` in columns that are all like column j of X.
+
+    t is the third line after s, u begins two columns before it and both s and t one column.
+    """
+    m, sa, sb, sc, sd, se = (
+        X[M, j],
+        w * X[SA, j],
+        w * X[SB, j],
+        w * X[SC, j],
+        w * X[SD, j],
+        w * X[SE, j],
+    )
+    tb, tc, td = X[TB, j], X[TC, j], X[TD, j]
+    if bending:
+        for x in range(size):
+            t = ACROSS * LINE + x
+            s[x] = (
+                (m * s[x + 1] + sc * u[x + 2] + tc * s[t + 1])
+                + (sb * u[x + 1] + sd * u[x + 3])
+                + (sa * u[x] + se * u[x + 4])
+                + (tb * s[t] + td * s[t + 2])
+            )
+    else:
+        for x in range(size):
+            s[x] = m * s[x + 1] + (sc * u[x + 2] + (sb * u[x + 1] + sd * u[x + 3]))
+
+
+@njit(fastmath=FAST)
+def _ends(s, u, X, j, w, first, last, bending):
+    """The same in columns of which each has a column of X, from column j on."""
+    for x in range(first, last):
+        y, t = j + x, ACROSS * LINE + x
+        total = X[M, y] * s[x + 1]
+        total += w * (X[SC, y] * u[x + 2] + (X[SB, y] * u[x + 1] + X[SD, y] * u[x + 3]))
+        if bending:
+            total += w * (X[SA, y] * u[x] + X[SE, y] * u[x + 4])
+            total += X[TC, y] * s[t + 1] + (X[TB, y] * s[t] + X[TD, y] * s[t + 2])
+        s[x] = total
+
+
+@njit(fastmath=FAST)
+def _smoothness(s, u, k, i, j, size, axes, bending):
+    """Columns from j on of a row of alpha R u of one component, written to s, and u to line V."""
     X1, X2, X3 = axes
-    e = j + s.size
-    m1 = X1[M, j:e]
+    m = X1.shape[1]
     w3, sa3, sb3, sc3, sd3, se3 = X3[M, k], X3[SA, k], X3[SB, k], X3[SC, k], X3[SD, k], X3[SE, k]
     w2, sa2, sb2, sc2, sd2, se2 = X2[M, i], X2[SA, i], X2[SB, i], X2[SC, i], X2[SD, i], X2[SE, i]
     tb3, tc3, td3, tb2, tc2, td2 = X3[TB, k], X3[TC, k], X3[TD, k], X2[TB, i], X2[TC, i], X2[TD, i]
-    w = w3 * w2
-    p, q = k + 2, i + 2
-    uc = u[p, q, j : e + 4]
-    u2b, u2d, u3b, u3d = (
-        u[p, q - 1, j : e + 4],
-        u[p, q + 1, j : e + 4],
-        u[p - 1, q, j : e + 4],
-        u[p + 1, q, j : e + 4],
+    p, q, a, e = k + 2, i + 2, j + 1, j + size + 3
+    _rows(
+        s,
+        (u[p, q, a:e], u[p, q - 1, a:e], u[p, q + 1, a:e], u[p - 1, q, a:e], u[p + 1, q, a:e]),
+        (
+            w3 * sc2 + w2 * sc3 + tc3 * tc2,
+            w3 * sb2 + tc3 * tb2,
+            w3 * sd2 + tc3 * td2,
+            w2 * sb3 + tb3 * tc2,
+            w2 * sd3 + td3 * tc2,
+        ),
+        (w3 * tc2 + w2 * tc3, w3 * tb2, w3 * td2, w2 * tb3, w2 * td3),
+        size + 2,
+        bending,
     )
-    c = w3 * sc2 + w2 * sc3 + tc3 * tc2
-    b2, d2 = w3 * sb2 + tc3 * tb2, w3 * sd2 + tc3 * td2
-    b3, d3 = w2 * sb3 + tb3 * tc2, w2 * sd3 + td3 * tc2
     if bending:
-        u2a, u2e = u[p, q - 2, j : e + 4], u[p, q + 2, j : e + 4]
-        a2, e2 = w3 * sa2, w3 * se2
-        for x in range(s.size):
-            s[x] = (
-                (c * uc[x + 2] + (b2 * u2b[x + 2] + d2 * u2d[x + 2]))
-                + (b3 * u3b[x + 2] + d3 * u3d[x + 2])
-                + (a2 * u2a[x + 2] + e2 * u2e[x + 2])
-            )
-        u3a, u3e = u[p - 2, q, j : e + 4], u[p + 2, q, j : e + 4]
-        bb, bd = u[p - 1, q - 1, j : e + 4], u[p - 1, q + 1, j : e + 4]
-        db, dd = u[p + 1, q - 1, j : e + 4], u[p + 1, q + 1, j : e + 4]
-        a3, e3 = w2 * sa3, w2 * se3
-        tbb, tbd, tdb, tdd = tb3 * tb2, tb3 * td2, td3 * tb2, td3 * td2
-        for x in range(s.size):
-            s[x] = m1[x] * (
-                s[x]
-                + (a3 * u3a[x + 2] + e3 * u3e[x + 2])
-                + (tbb * bb[x + 2] + tdd * dd[x + 2])
-                + (tbd * bd[x + 2] + tdb * db[x + 2])
-            )
-        c, b2, d2, b3, d3 = w3 * tc2 + w2 * tc3, w3 * tb2, w3 * td2, w2 * tb3, w2 * td3
-        for x in range(v.size):
-            v[x] = (
-                c * uc[x + 1]
-                + (b2 * u2b[x + 1] + d2 * u2d[x + 1])
-                + (b3 * u3b[x + 1] + d3 * u3d[x + 1])
-            )
-        Tb, Tc, Td = X1[TB, j:e], X1[TC, j:e], X1[TD, j:e]
-        for x in range(s.size):
-            s[x] += Tb[x] * v[x] + Tc[x] * v[x + 1] + Td[x] * v[x + 2]
-        Sa, Sb, Sc, Sd, Se = X1[SA, j:e], X1[SB, j:e], X1[SC, j:e], X1[SD, j:e], X1[SE, j:e]
-        for x in range(s.size):
-            s[x] += w * (
-                Sc[x] * uc[x + 2]
-                + (Sb[x] * uc[x + 1] + Sd[x] * uc[x + 3])
-                + (Sa[x] * uc[x] + Se[x] * uc[x + 4])
-            )
-    else:
-        for x in range(s.size):
-            s[x] = m1[x] * (
-                c * uc[x + 2]
-                + (b2 * u2b[x + 2] + d2 * u2d[x + 2])
-                + (b3 * u3b[x + 2] + d3 * u3d[x + 2])
-            )
-        Sb, Sc, Sd = X1[SB, j:e], X1[SC, j:e], X1[SD, j:e]
-        for x in range(s.size):
-            s[x] += w * (Sc[x] * uc[x + 2] + (Sb[x] * uc[x + 1] + Sd[x] * uc[x + 3]))
+        _more_rows(
+            s,
+            (
+                u[p - 1, q - 1, a:e],
+                u[p - 1, q + 1, a:e],
+                u[p + 1, q - 1, a:e],
+                u[p + 1, q + 1, a:e],
+            ),
+            (u[p, q - 2, a:e], u[p, q + 2, a:e], u[p - 2, q, a:e], u[p + 2, q, a:e]),
+            (tb3 * tb2, tb3 * td2, td3 * tb2, td3 * td2),
+            (w3 * sa2, w3 * se2, w2 * sa3, w2 * se3),
+            size + 2,
+        )
+    # Columns but the two outer ones are alike.
+    low = min(size, max(0, 2 - j))
+    high = max(low, min(size, m - 2 - j))
+    here, w = u[p, q, j : e + 1], w3 * w2
+    _ends(s, here, X1, j, w, 0, low, bending)
+    _along(s[low:], here[low:], X1, m // 2, w, high - low, bending)
+    _ends(s, here, X1, j, w, high, size, bending)
+    own = s[V * LINE :]
+    for x in range(size):
+        own[x] = here[x + 2]
 
 
 @njit(fastmath=FAST)
@@ -124,6 +172,20 @@ def _multiply(s, v, a):
         s[j] += a11[j] * v1 + a12[j] * v2 + a13[j] * v3
         s[LINE + j] += a12[j] * v1 + a22[j] * v2 + a23[j] * v3
         s[2 * LINE + j] += a13[j] * v1 + a23[j] * v2 + a33[j] * v3
+
+
+@njit(fastmath=FAST)
+def _weigh(w, a):
+    """Add ``volume A u``."""
+    a11, a12, a13, a22, a23, a33 = a
+    for j in range(a11.size):
+        f = w[VOLUME * LINE + j]
+        v1 = f * w[V * LINE + j]
+        v2 = f * w[(V + 1) * LINE + j]
+        v3 = f * w[(V + 2) * LINE + j]
+        w[j] += a11[j] * v1 + a12[j] * v2 + a13[j] * v3
+        w[LINE + j] += a12[j] * v1 + a22[j] * v2 + a23[j] * v3
+        w[2 * LINE + j] += a13[j] * v1 + a23[j] * v2 + a33[j] * v3
 
 
 @njit
@@ -161,25 +223,29 @@ def _springs(w, u, G, k, i, j, e):
                     step = 1 - 2 * back if b1 else 0
                     first, last = max(j, back), min(e, m - b1 + back)
                     size = last - first
-                    s, d = w[S * LINE + first - j :], w[D * LINE + first - j :]
+                    s, d = w[first - j :], w[ACROSS * LINE + first - j :]
                     _differences(d, u, (k, i, first), (k2, i2, first + step), size)
                     _multiply(s, d, _lines(G, 6 * kind - 6, K, I, first - back, last - back))
 
 
 @njit(fastmath=FAST)
-def _row(w, u, k, i, j, e, K):
-    """Columns j to e - 1 of row (k, i) of K u, written to w."""
-    X1, X2, X3 = K.axes
-    volume, m1, area = w[VOLUME * LINE :], X1[M, j:e], X3[M, k] * X2[M, i]
+def _weights(w, k, i, j, e, axes):
+    """The volume of each node, and the sum over each row of ``|alpha R|``."""
+    X1, X2, X3 = axes
+    w3, w2 = X3[M, k], X2[M, i]
+    c = w3 * X2[S_SUM, i] + w2 * X3[S_SUM, k] + X3[T_SUM, k] * X2[T_SUM, i]
+    area, t = w3 * w2, w3 * X2[T_SUM, i] + w2 * X3[T_SUM, k]
+    m1, s1, t1 = X1[M, j:e], X1[S_SUM, j:e], X1[T_SUM, j:e]
     for x in range(m1.size):
-        volume[x] = area * m1[x]
-    across = w[ACROSS * LINE : ACROSS * LINE + e - j + 2]
+        w[VOLUME * LINE + x] = area * m1[x]
+        w[BOUND * LINE + x] = c * m1[x] + area * s1[x] + t * t1[x]
+
+
+@njit(fastmath=FAST)
+def _row(w, u, k, i, j, e, K):
+    """Columns j to e - 1 of row (k, i) of K u but for ``volume A u``, and of u, written to w."""
     for c in range(3):
-        s, v, uc = w[c * LINE : c * LINE + e - j], w[(V + c) * LINE :], u[c, k + 2, i + 2, j + 2 :]
-        _smoothness(s, across, u[c], k, i, j, K.axes, K.bending)
-        for x in range(s.size):
-            v[x] = volume[x] * uc[x]
-    _multiply(w, w[V * LINE :], _lines(K.A, 0, k, i, j, e))
+        _smoothness(w[c * LINE :], u[c], k, i, j, e - j, K.axes, K.bending)
     if K.G.shape[0] > 0:
         _springs(w, u, K.G, k, i, j, e)
 
@@ -212,6 +278,8 @@ def _product(first, last, q, sums, u, K):
             for j in range(0, m, WIDE):
                 e = min(j + WIDE, m)
                 _row(w, u, k, i, j, e, K)
+                _weights(w, k, i, j, e, K.axes)
+                _weigh(w, _lines(K.A, 0, k, i, j, e))
                 free = K.free[k, i, j:e]
                 for c in range(3):
                     qc, s = _inside(q, c, k, i, shape)[j:e], w[c * LINE :]
@@ -230,57 +298,50 @@ def product(q: Real, u: Real, K: Operator) -> Array:
 
 @njit(fastmath=FAST)
 def _correct(w, a):
-    """Overwrite residuals in w by D^-1 times them, with ``D = volume A + bound``, factorised."""
+    """Overwrite ``b - (K - volume A) u`` in w by ``D^-1 (b - K u)``.
+
+    ``D = volume A + bound`` is factorised as a lower triangle, a diagonal and an upper triangle.
+    """
     a11, a12, a13, a22, a23, a33 = a
+    one = w.dtype.type(1)
     for j in range(a11.size):
         f, bound = w[VOLUME * LINE + j], w[BOUND * LINE + j]
-        d1 = f * a11[j] + bound
-        l2, l3 = f * a12[j] / d1, f * a13[j] / d1
-        d2 = f * a22[j] + bound - l2 * (f * a12[j])
-        e = f * a23[j] - l2 * (f * a13[j])
-        l4 = e / d2
-        d3 = f * a33[j] + bound - l3 * (f * a13[j]) - l4 * e
-        r1 = w[j]
-        r2 = w[LINE + j] - l2 * r1
-        r3 = (w[2 * LINE + j] - l3 * r1 - l4 * r2) / d3
-        r2 = r2 / d2 - l4 * r3
+        b11, b12, b13 = f * a11[j], f * a12[j], f * a13[j]
+        b22, b23, b33 = f * a22[j], f * a23[j], f * a33[j]
+        v1, v2, v3 = w[V * LINE + j], w[(V + 1) * LINE + j], w[(V + 2) * LINE + j]
+        r1 = w[j] - (b11 * v1 + b12 * v2 + b13 * v3)
+        r2 = w[LINE + j] - (b12 * v1 + b22 * v2 + b23 * v3)
+        r3 = w[2 * LINE + j] - (b13 * v1 + b23 * v2 + b33 * v3)
+        d1 = one / (b11 + bound)
+        l2, l3 = b12 * d1, b13 * d1
+        d2 = one / (b22 + bound - l2 * b12)
+        e = b23 - l2 * b13
+        l4 = e * d2
+        d3 = b33 + bound - l3 * b13 - l4 * e
+        r2 -= l2 * r1
+        r3 = (r3 - l3 * r1 - l4 * r2) / d3
+        r2 = r2 * d2 - l4 * r3
         w[2 * LINE + j] = r3
         w[LINE + j] = r2
-        w[j] = r1 / d1 - l2 * r2 - l3 * r3
-
-
-@njit(fastmath=FAST)
-def _bound(w, k, i, j, e, axes):
-    """Sum over each row of ``|alpha R|``."""
-    X1, X2, X3 = axes
-    w3, w2 = X3[M, k], X2[M, i]
-    c = w3 * X2[S_SUM, i] + w2 * X3[S_SUM, k] + X3[T_SUM, k] * X2[T_SUM, i]
-    w23, t = w3 * w2, w3 * X2[T_SUM, i] + w2 * X3[T_SUM, k]
-    m1, s1, t1 = X1[M, j:e], X1[S_SUM, j:e], X1[T_SUM, j:e]
-    bound = w[BOUND * LINE :]
-    for x in range(m1.size):
-        bound[x] = c * m1[x] + w23 * s1[x] + t * t1[x]
+        w[j] = r1 * d1 - l2 * r2 - l3 * r3
 
 
 @njit(fastmath=FAST)
 def _chebyshev_block(w, y, x, b, k, i, j, e, c1, c2, from_zero, K):
     zero = x.dtype.type(0)
     free = K.free[k, i, j:e]
-    if from_zero:
-        area, m1, volume = K.axes[2][M, k] * K.axes[1][M, i], K.axes[0][M, j:e], w[VOLUME * LINE :]
-        for t in range(free.size):
-            volume[t] = area * m1[t]
-    else:
+    if not from_zero:
         _row(w, x, k, i, j, e, K)
     for c in range(3):
         bc, s = _inside(b, c, k, i, K.free.shape)[j:e], w[c * LINE :]
         if from_zero:
             for t in range(bc.size):
                 s[t] = bc[t]
+                s[V * LINE + t] = zero
         else:
             for t in range(bc.size):
                 s[t] = bc[t] - s[t]
-    _bound(w, k, i, j, e, K.axes)
+    _weights(w, k, i, j, e, K.axes)
     _correct(w, _lines(K.A, 0, k, i, j, e))
     for c in range(3):
         xc, yc, z = x[c, k + 2, i + 2, j + 2 :], y[c, k + 2, i + 2, j + 2 :], w[c * LINE :]
@@ -290,8 +351,9 @@ def _chebyshev_block(w, y, x, b, k, i, j, e, c1, c2, from_zero, K):
             for t in range(free.size):
                 yc[t] = c2 * z[t] if free[t] else zero
         else:
+            own = w[(V + c) * LINE :]
             for t in range(free.size):
-                yc[t] = xc[t] + c1 * (xc[t] - yc[t]) + (c2 * z[t] if free[t] else zero)
+                yc[t] = own[t] + c1 * (own[t] - yc[t]) + (c2 * z[t] if free[t] else zero)
 
 
 @compiled
@@ -322,6 +384,8 @@ def _collect(r, b, x, k, i, w, K):
     for j in range(0, m, WIDE):
         e = min(j + WIDE, m)
         _row(w, x, k, i, j, e, K)
+        _weights(w, k, i, j, e, K.axes)
+        _weigh(w, _lines(K.A, 0, k, i, j, e))
         free = K.free[k, i, j:e]
         for c in range(3):
             rc, bc, s = r[c, j:e], _inside(b, c, k, i, K.free.shape)[j:e], w[c * LINE :]

@@ -46,8 +46,8 @@ PARTS, FEW = 3, 3
 # Slices, or rows, whose gradients are taken at once.
 SLAB = 16
 # Differences of images and displacements that are none.
-SAME = 1e-9
-TINY = np.finfo(np.float64).tiny
+SAME = 1e-6
+TINY = float(np.finfo(np.float32).tiny)
 
 
 @dataclass(frozen=True)

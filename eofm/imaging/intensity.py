@@ -7,7 +7,7 @@ import numpy as np
 from eofm.errors import InputError
 from eofm.grid import Array, Mask, precision
 from eofm.imaging.gaussian import blur
-from eofm.imaging.sums import Terms, resample
+from eofm.imaging.sums import Terms, add_squares, resample
 from eofm.settings import LARGEST, LEAST
 
 # A highlight is so many times as high above the median as three in four local maxima are, which
@@ -18,7 +18,7 @@ RARE = 0.05
 # Length of a line of saturated pixels that no structure makes, px.
 LINE = 32
 # Numbers whose sums are taken at once.
-CHUNK = 2**20
+CHUNK = 2**19
 
 
 def normalise(
@@ -153,15 +153,13 @@ class Window:
     def _sum(self, *factors: Array) -> Array:
         shape, dtype = self.mask.shape, precision(self.mask.ndim)
         sums = np.empty([-(-n // self.side) for n in shape], dtype)
-        # A few rows of squares at a time: the products take no memory.
+        # A few rows of squares at a time: products take no room.
         step = max(1, CHUNK * len(sums) // self.mask.size)
         for first in range(0, len(sums), step):
             some = slice(first * self.side, (first + step) * self.side)
-            parts = (np.broadcast_to(f, shape)[some] for f in (*factors, self.mask))
-            f = reduce(lambda p, q: np.multiply(p, q, dtype=dtype), parts)
-            for axis, n in enumerate(f.shape if self.side > 1 else ()):
-                f = np.add.reduceat(f, np.arange(0, n, self.side), axis=axis)
-            sums[first : first + step] = f
+            parts = (np.broadcast_to(f, shape)[some] for f in factors)
+            product = reduce(np.multiply, parts).astype(dtype, copy=False)
+            add_squares(sums[first : first + step], product, self.mask[some], self.side)
         J = np.empty(shape, dtype)
         resample(J, sums, self.terms)
         return J

@@ -1,4 +1,4 @@
-"""Loops over pixels for :mod:`eofm.imaging.splines`, compiled and shared by rows or slices.
+"""Coefficients of splines and their slopes, compiled and shared by rows or slices.
 
 Coefficients of cubic splines have 3 entries more than the image or volume along every axis: those
 of pixel (i, j) stand at (i + 1, j + 1), framed by one entry before and two after that continue
@@ -12,10 +12,9 @@ number of threads.
 import math
 
 import numpy as np
-from numba import njit
 
 from eofm.compiled import compiled, share
-from eofm.grid import Array, Mask
+from eofm.grid import Array
 
 # The recursive filter that turns samples into coefficients: its pole, and where the powers
 # of the pole are zero up to rounding.
@@ -134,126 +133,6 @@ def turn(c: Array, axis: int) -> None:
     reach = n if c.dtype == np.float64 else min(n, HORIZON)
     strips = (lines.shape[2] - 1) // STRIP + 1
     share(_turn, len(lines) * strips, c.size, lines, POLE ** np.arange(n), reach)
-
-
-@njit
-def _locate(x, n):
-    """The sample before x, for x in the range of n samples, and the distance from it."""
-    x = min(x, n - 1.0) if x > 0 else 0.0
-    j = max(min(int(x), n - 2), 0)
-    return j, x - j
-
-
-def weights(t):
-    """Weights of the coefficients around a point t past a sample, and their derivatives."""
-    s = 1 - t
-    a, b = s * s * s / 6, t * t * t / 6
-    w = (a, 2 / 3 - t * t * (2 - t) / 2, 2 / 3 - s * s * (2 - s) / 2, b)
-    d = (-s * s / 2, t * (1.5 * t - 2), s * (2 - 1.5 * s), t * t / 2)
-    return w, d
-
-
-_weights = njit(weights)
-
-
-@compiled
-def _sample(first, last, values, gradients, inside, c, u, step):
-    n, m = c.shape[0] - 3, c.shape[1] - 3
-    for i in range(first, last):
-        for k in range(values.shape[1]):
-            x1, x2 = u[0, i, k] + step * k, u[1, i, k] + step * i
-            inside[i, k] = 0 <= x1 <= m - 1 and 0 <= x2 <= n - 1
-            j1, t1 = _locate(x1, m)
-            j2, t2 = _locate(x2, n)
-            (a1, b1, c1, d1), (e1, f1, g1, h1) = _weights(t1)
-            w2, v2 = _weights(t2)
-            total, along1, along2 = 0.0, 0.0, 0.0
-            for p in range(4):
-                q, r, s, t = c[j2 + p, j1], c[j2 + p, j1 + 1], c[j2 + p, j1 + 2], c[j2 + p, j1 + 3]
-                row = a1 * q + b1 * r + c1 * s + d1 * t
-                total += w2[p] * row
-                along2 += v2[p] * row
-                along1 += w2[p] * (e1 * q + f1 * r + g1 * s + h1 * t)
-            values[i, k] = total
-            if gradients.shape[0]:
-                gradients[0, i, k], gradients[1, i, k] = along1, along2
-
-
-@njit
-def _row(c, j3, j2, j1, w, d):
-    """Value and slope along a row of coefficients."""
-    q, r, s, t = c[j3, j2, j1], c[j3, j2, j1 + 1], c[j3, j2, j1 + 2], c[j3, j2, j1 + 3]
-    value = w[0] * q + w[1] * r + w[2] * s + w[3] * t
-    return value, d[0] * q + d[1] * r + d[2] * s + d[3] * t
-
-
-@njit
-def _plane(c, j3, j2, j1, w1, d1, w2, d2):
-    """Value and both slopes in a slice of coefficients."""
-    (p, a), (q, b) = _row(c, j3, j2, j1, w1, d1), _row(c, j3, j2 + 1, j1, w1, d1)
-    (r, e), (s, f) = _row(c, j3, j2 + 2, j1, w1, d1), _row(c, j3, j2 + 3, j1, w1, d1)
-    value = w2[0] * p + w2[1] * q + w2[2] * r + w2[3] * s
-    along1 = w2[0] * a + w2[1] * b + w2[2] * e + w2[3] * f
-    return value, along1, d2[0] * p + d2[1] * q + d2[2] * r + d2[3] * s
-
-
-@njit
-def _column(c, j3, j2, j1, w2):
-    """Value along a column of coefficients."""
-    p, q, r, s = c[j3, j2, j1], c[j3, j2 + 1, j1], c[j3, j2 + 2, j1], c[j3, j2 + 3, j1]
-    return w2[0] * p + w2[1] * q + w2[2] * r + w2[3] * s
-
-
-@njit
-def _single(w):
-    return np.float32(w[0]), np.float32(w[1]), np.float32(w[2]), np.float32(w[3])
-
-
-@compiled
-def _sample_slices(first, last, values, gradients, inside, c, u, step):
-    n, m, l = c.shape[0] - 3, c.shape[1] - 3, c.shape[2] - 3
-    row = np.empty(4, c.dtype)
-    for h in range(first, last):
-        for i in range(values.shape[1]):
-            for k in range(values.shape[2]):
-                x1, x2 = u[0, h, i, k] + step * k, u[1, h, i, k] + step * i
-                x3 = u[2, h, i, k] + step * h
-                inside[h, i, k] = 0 <= x1 <= l - 1 and 0 <= x2 <= m - 1 and 0 <= x3 <= n - 1
-                (j1, t1), (j2, t2), (j3, t3) = _locate(x1, l), _locate(x2, m), _locate(x3, n)
-                (w1, d1), (w2, d2), (w3, d3) = _weights(t1), _weights(t2), _weights(t3)
-                w1, d1, w2, d2 = _single(w1), _single(d1), _single(w2), _single(d2)
-                w3, d3 = _single(w3), _single(d3)
-                if not gradients.shape[0]:
-                    for p in range(4):
-                        q, r = _column(c, j3, j2, j1 + p, w2), _column(c, j3 + 1, j2, j1 + p, w2)
-                        s, t = (
-                            _column(c, j3 + 2, j2, j1 + p, w2),
-                            _column(c, j3 + 3, j2, j1 + p, w2),
-                        )
-                        row[p] = w3[0] * q + w3[1] * r + w3[2] * s + w3[3] * t
-                    values[h, i, k] = (
-                        w1[0] * row[0] + w1[1] * row[1] + w1[2] * row[2] + w1[3] * row[3]
-                    )
-                    continue
-                p0, a0, b0 = _plane(c, j3, j2, j1, w1, d1, w2, d2)
-                p1, a1, b1 = _plane(c, j3 + 1, j2, j1, w1, d1, w2, d2)
-                p2, a2, b2 = _plane(c, j3 + 2, j2, j1, w1, d1, w2, d2)
-                p3, a3, b3 = _plane(c, j3 + 3, j2, j1, w1, d1, w2, d2)
-                values[h, i, k] = w3[0] * p0 + w3[1] * p1 + w3[2] * p2 + w3[3] * p3
-                gradients[0, h, i, k] = w3[0] * a0 + w3[1] * a1 + w3[2] * a2 + w3[3] * a3
-                gradients[1, h, i, k] = w3[0] * b0 + w3[1] * b1 + w3[2] * b2 + w3[3] * b3
-                gradients[2, h, i, k] = d3[0] * p0 + d3[1] * p1 + d3[2] * p2 + d3[3] * p3
-
-
-def sample(values: Array, gradients: Array, inside: Mask, c: Array, u: Array, step: float) -> None:
-    """Evaluate a spline at ``x = u + step (column, row)``, or (column, row, slice).
-
-    values, inside: shape (k, l); gradients: shape (2, k, l), or (0, k, l) if not wanted;
-    u: shape (2, k, l); with one axis more of volumes. Points outside take the value of the
-    nearest border point.
-    """
-    kernel = _sample if c.ndim == 2 else _sample_slices
-    share(kernel, values.shape[0], values.size, values, gradients, inside, c, u, step)
 
 
 @compiled

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from eofm.grid import Array, Mask, precision
-from eofm.imaging import kernels
+from eofm.imaging import kernels, sampling
 from eofm.imaging.gaussian import mirrored, taps
 from eofm.imaging.sums import Terms, resample
 
@@ -91,7 +91,7 @@ class Spline:
         gradients = np.empty((components, *shape), self.c.dtype)
         inside = np.empty(shape, dtype=np.bool_)
         u = np.require(u, requirements=["C", "W"])
-        kernels.sample(values, gradients, inside, self.c, u, step)
+        sampling.sample(values, gradients, inside, self.c, u, step)
         return values, gradients, inside
 
 
@@ -114,7 +114,7 @@ def _terms(old: int, new: int, odd: bool) -> Terms:
     offsets, gauss = taps(0.5 * np.sqrt(max(f**2 - 1, 0)))
     position = f * np.arange(new)
     first = np.minimum(position.astype(np.intp), old - 2)
-    spline = np.stack(kernels.weights(position - first)[0], axis=1)
+    spline = np.stack(sampling.weights(position - first)[0], axis=1)
     w = np.zeros((new, 3 + len(gauss)))
     for k, g in enumerate(gauss):
         w[:, k : k + 4] += g * spline

@@ -9,10 +9,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from eofm.compiled import compiled, share
-from eofm.grid import Array
+from eofm.grid import Array, Mask
 
 # Rows, and slices, that Gaussians are added to together, and rows whose sums run side by side.
 STRIP, SLAB, LANES = 64, 8, 32
@@ -65,33 +66,37 @@ def _resample(first, last, J, c, lateral, axial):
             J[i, j] = total
 
 
+@njit
+def _sum(total, lines, at, w):
+    """Write the sum of some lines, weighted, to total: four at a time, which spares its traffic."""
+    total[:] = 0
+    four = at.size - at.size % 4
+    for k in range(0, four, 4):
+        p, q, r, s = lines[at[k]], lines[at[k + 1]], lines[at[k + 2]], lines[at[k + 3]]
+        a, b, c, d = w[k], w[k + 1], w[k + 2], w[k + 3]
+        for j in range(total.size):
+            total[j] += a * p[j] + b * q[j] + c * r[j] + d * s[j]
+    for k in range(four, at.size):
+        p, a = lines[at[k]], w[k]
+        for j in range(total.size):
+            total[j] += a * p[j]
+
+
 @compiled
 def _resample_slices(first, last, J, c, lateral, axial, elevational):
-    plane, row = np.empty(c.shape[1:], c.dtype), np.empty(c.shape[2], c.dtype)
+    slices, plane = c.reshape(c.shape[0], -1), np.empty(c.shape[1:], c.dtype)
     # Rows are turned into columns for the sums along them, so that those run side by side.
-    columns, s = np.empty((c.shape[2], LANES), c.dtype), np.empty(LANES, c.dtype)
+    row, columns = np.empty(c.shape[2], c.dtype), np.zeros((c.shape[2], LANES), c.dtype)
+    s = np.empty(LANES, c.dtype)
     for h in range(first, last):
-        plane[:] = 0
-        for k in range(elevational.at.shape[1]):
-            source, weight = c[elevational.at[h, k]], elevational.w[h, k]
-            for i in range(plane.shape[0]):
-                for j in range(plane.shape[1]):
-                    plane[i, j] += weight * source[i, j]
+        _sum(plane.ravel(), slices, elevational.at[h], elevational.w[h])
         for low in range(0, J.shape[1], LANES):
             lanes = min(LANES, J.shape[1] - low)
             for i in range(lanes):
-                row[:] = 0
-                for k in range(axial.at.shape[1]):
-                    source, weight = plane[axial.at[low + i, k]], axial.w[low + i, k]
-                    for j in range(row.size):
-                        row[j] += weight * source[j]
+                _sum(row, plane, axial.at[low + i], axial.w[low + i])
                 columns[:, i] = row
             for j in range(J.shape[2]):
-                s[:] = 0
-                for k in range(lateral.at.shape[1]):
-                    source, weight = columns[lateral.at[j, k]], lateral.w[j, k]
-                    for i in range(LANES):
-                        s[i] += weight * source[i]
+                _sum(s, columns, lateral.at[j], lateral.w[j])
                 for i in range(lanes):
                     J[h, low + i, j] = s[i]
 
@@ -100,6 +105,34 @@ def resample(J: Array, c: Array, terms: Sequence[Terms]) -> None:
     """Write to J sums of entries of c along each axis, ``terms`` being in the order of axes."""
     along = [Terms(at, np.asarray(w, J.dtype)) for at, w in terms]
     share(_resample if J.ndim == 2 else _resample_slices, len(J), J.size, J, c, *along[::-1])
+
+
+@compiled
+def _add_cubes(first, last, sums, f, mask, side):
+    line = np.empty(f.shape[2], f.dtype)
+    for p in range(first, last):
+        for q in range(sums.shape[1]):
+            line[:] = 0
+            for h in range(p * side, min(p * side + side, f.shape[0])):
+                for i in range(q * side, min(q * side + side, f.shape[1])):
+                    row, used = f[h, i], mask[h, i]
+                    for j in range(line.size):
+                        line[j] += row[j] * used[j]
+            for r in range(sums.shape[2]):
+                sums[p, q, r] = line[r * side : r * side + side].sum()
+
+
+def add_squares(sums: Array, f: Array, mask: Mask, side: int) -> None:
+    """Write to sums those of the pixels of a mask in squares, or cubes, of a side."""
+    if side == 1:
+        np.multiply(f, mask, out=sums)
+    elif f.ndim == 3:
+        share(_add_cubes, len(sums), f.size, sums, *map(np.ascontiguousarray, (f, mask)), side)
+    else:
+        f = f * mask
+        for axis, n in enumerate(f.shape):
+            f = np.add.reduceat(f, np.arange(0, n, side), axis=axis)
+        sums[:] = f
 
 
 @compiled

@@ -132,6 +132,8 @@ rule volume_report:
         "logs/volume/report.log",
     benchmark:
         "benchmarks/volume/report.tsv"
+    conda:
+        "../envs/eofm.yaml"
     resources:
         mem_mb=1000,
     params:
