@@ -28,8 +28,7 @@ extensions = [
 # What a run makes here, and what other pages include.
 exclude_patterns = ["_build", "examples", "figures"]
 templates_path = ["_templates"]
-# Pages that other branches bring are found by a pattern, which may match nothing yet.
-suppress_warnings = ["config.cache", "toc.empty_glob"]
+suppress_warnings = ["config.cache"]
 
 # The library.
 add_module_names = False

@@ -35,6 +35,9 @@ Settings of the tools that figures compare with, from `workflow/scripts/peers.py
 """
 
 
+# Pages that may be missing.
+PERHAPS = ("formats", "reliability")
+
 # What the sources of the library were when the examples last ran.
 RECORD = "_build/code.txt"
 
@@ -174,10 +177,18 @@ def write_pages(app: Sphinx) -> None:
             page.write_text(text)
 
 
+def skip_missing(app: Sphinx, name: str, source: list[str]) -> None:
+    """Leave pages out of a table of contents that are not there."""
+    for page in PERHAPS:
+        if not (Path(app.srcdir) / f"{page}.md").exists():
+            source[0] = source[0].replace(f"\n../{page}\n", "\n")
+
+
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register with Sphinx."""
     assert eofm.__all__  # the package that is documented is the one that is imported
     app.connect("builder-inited", write_pages, priority=100)
+    app.connect("source-read", skip_missing)
     app.connect("build-finished", record_code)
     app.connect("autodoc-process-docstring", describe_keys)
     app.connect("autodoc-process-signature", short_signature)
