@@ -64,7 +64,7 @@ sphinx_gallery_conf = {
     "download_all_examples": False,
     "nested_sections": False,
     "min_reported_time": 3600,
-    "thumbnail_size": (560, 380),
+    "thumbnail_size": (560, 300),
     "write_computation_times": False,
 }
 
