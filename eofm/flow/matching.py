@@ -10,7 +10,7 @@ from eofm.flow.functional import Pointwise, data_term
 from eofm.grid import Array, Grid, Mask, precision
 from eofm.imaging.gaussian import blur
 from eofm.imaging.intensity import Window
-from eofm.imaging.splines import Spline
+from eofm.imaging.splines import Spline, gradient
 
 # Side of the blocks of pixels that are held out together, and whose residuals are taken to
 # be correlated, px: the size of a bubble and more.
@@ -178,9 +178,6 @@ class ImagePair:
     robust : bool
         Whether I1 is given the local brightness and contrast of the warped I2, and residuals
         are weighed.
-    straight : bool
-        Whether images go on beyond their edges as they are, see :class:`Spline`, where a mirror
-        would level them: that alone is half of the error at the edges of clean images.
     """
 
     grid: Grid
@@ -190,7 +187,6 @@ class ImagePair:
     live_after: Mask
     mean: bool
     robust: bool = False
-    straight: bool = False
 
     def linearise(self, u: Array) -> Match:
         """Return the images linearised about a displacement."""
@@ -208,15 +204,13 @@ class ImagePair:
         """Images linearised about a displacement, the gradient of I1, and local contrast."""
         samples = self.grid.samples(u)
         if self.mean:
-            warped, g, inside = Spline(self.I2, self.straight).warp_with_gradient(
-                samples, self.grid.spacing
-            )
+            warped, g, inside = Spline(self.I2).warp_with_gradient(samples, self.grid.spacing)
         else:
-            warped, inside = Spline(self.I2, self.straight).warp(samples)
+            warped, inside = Spline(self.I2).warp(samples)
         used = inside & self.live
         if not self.live_after.all():
             used &= Spline(self.live_after.astype(u.dtype)).warp(samples)[0] > LIVE
-        g1 = Spline(self.I1, self.straight).gradient(self.grid.spacing)
+        g1 = gradient(self.I1, self.grid.spacing)
         I1, contrast = self.I1, np.ones((), u.dtype)
         if self.robust and used.any():
             gain, offset, contrast = brightness(I1, warped, used)
