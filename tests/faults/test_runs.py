@@ -111,7 +111,7 @@ def undisturbed(checkout, tmp_path_factory):
     run = Run(checkout, tmp_path_factory.mktemp("plain"))
     status, said = run.end(run.start())
     assert status == 0, said
-    assert len(run.results()) == ROWS * 7
+    assert len(run.results()) == ROWS * 8
     return run.results()
 
 
