@@ -237,8 +237,7 @@ def sampled_pairs(
             J1, J2 = (normalise_locally(J, (COARSE,) * J.ndim) for J in (J1, J2))
         live, live_after = (~_resized(m, grid.shape) for m in (before, after))
         mean, robust = settings.gradients == "mean", settings.robust and fine
-        straight = settings.robust
-        pairs.append(ImagePair(grid, J1, J2, live, live_after, mean, robust, straight))
+        pairs.append(ImagePair(grid, J1, J2, live, live_after, mean, robust))
     return pairs
 
 

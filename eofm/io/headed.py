@@ -72,6 +72,8 @@ def read_nrrd(name: str, part: str) -> Scan:
         stored = np.dtype((">" if said.get("endian", "little").lower() == "big" else "<") + kind)
         values = _values(name, file, shape, stored, packed[said["encoding"].lower()])
     kinds = said.get("kinds", "").split() or ["domain"] * len(shape)
+    if len(kinds) != len(shape):
+        raise ValueError(f"{len(shape)} axes are stated, and kinds of {len(kinds)}")
     spatial, axes, sides = iter("XYZ"), "", {}
     vectors = re.findall(r"none|\([^)]*\)", said.get("space directions", ""))
     spacings: list[object] = list(said.get("spacings", "").split())
