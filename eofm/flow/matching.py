@@ -155,6 +155,9 @@ class ImagePair:
     robust : bool
         Whether I1 is given the local brightness and contrast of the warped I2, and residuals
         are weighed.
+    straight : bool
+        Whether images go on beyond their edges as they are, see :class:`Spline`, where a mirror
+        would level them: that alone is half of the error at the edges of clean images.
     """
 
     grid: Grid
@@ -164,6 +167,7 @@ class ImagePair:
     live_after: Mask
     mean: bool
     robust: bool = False
+    straight: bool = False
 
     def linearise(self, u: Array) -> Match:
         """Return the images linearised about a displacement."""

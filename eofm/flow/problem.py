@@ -237,7 +237,8 @@ def sampled_pairs(
             J1, J2 = (normalise_locally(J, (COARSE,) * J.ndim) for J in (J1, J2))
         live, live_after = (~_resized(m, grid.shape) for m in (before, after))
         mean, robust = settings.gradients == "mean", settings.robust and fine
-        pairs.append(ImagePair(grid, J1, J2, live, live_after, mean, robust))
+        straight = settings.robust
+        pairs.append(ImagePair(grid, J1, J2, live, live_after, mean, robust, straight))
     return pairs
 
 

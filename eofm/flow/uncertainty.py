@@ -69,15 +69,16 @@ class Errors:
     @cached_property
     def bias(self) -> Array:
         """What smoothness takes away, as it takes it from the estimate itself."""
-        return self._solve(self.functional.smoothed(self.v))
+        return self._solve(self._force)
 
     @cached_property
     def roughness(self) -> float:
         """Factor of draws of the prior that makes them as large as the bias, where data tell."""
         F = self.functional
         drawn = self._solve(F.rough(np.random.default_rng(1)) / F.grid.areas)
-        both = (float((F.terms.product(f) * f * F.grid.areas).sum()) for f in (self.bias, drawn))
-        biased, rough = both
+        biased, rough = (
+            float((F.terms.product(f) * f * F.grid.areas).sum()) for f in (self.bias, drawn)
+        )
         return float(np.sqrt(biased / (rough + TINY)))
 
     def draw(self, rng: np.random.Generator) -> Array:
@@ -85,14 +86,14 @@ class Errors:
 
         The noise of the data is that of the residuals, times a smooth random field (dependent wild
         bootstrap, Shao, J. Am. Stat. Assoc. 105, 2010): residuals of bubbles are correlated and
-        grow with the gradient, so white noise would promise too much. Half of what smoothness
-        takes away is the bias, of random sign, half a rough field of its size: it alone is
-        large where no data are.
+        grow with the gradient, so white noise would promise too much. What smoothness takes away
+        is the bias, of random sign, and a rough field as large, for the estimate shows what is
+        left of roughness only; it alone is large where no data are.
         """
         F, match = self.functional, self.match
         noise = smooth_noise(match.grid.shape, rng) * self._residual
-        b = match.g * noise + (self.roughness / np.sqrt(2)) * F.rough(rng) / F.grid.areas
-        b += (rng.standard_normal() / np.sqrt(2)) * self._force
+        b = match.g * noise + self.roughness * F.rough(rng) / F.grid.areas
+        b += rng.standard_normal() * self._force
         return self._solve(b)
 
     @cached_property
