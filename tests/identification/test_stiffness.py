@@ -121,7 +121,8 @@ def test_a_part_of_a_sample_shows_its_disc():
 
 
 def test_where_nothing_is_known_of_edges_their_motion_is_sought():
-    I1, I2, u = pair(stiff=False)
+    # With less noise the preset alone is as good.
+    I1, I2, u = pair(stiff=False, noise=0.1)
     top = {"top": np.zeros((2, 1))}
     found = identify_stiffness(I1, I2, PLAIN, known=Known(edges=top))
     assert found.problem.model.loose == ("left", "right", "bottom")
