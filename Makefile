@@ -4,7 +4,7 @@ CORES ?= 2
 BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest --numprocesses $(CORES) --dist loadfile --no-loadscope-reorder
 
-.PHONY: paper test quick check fuzz numbers clean
+.PHONY: paper test quick check docs fuzz numbers clean
 
 paper: .venv/installed
 	$(BIN)/snakemake --cores $(CORES)
@@ -21,7 +21,7 @@ fuzz: .venv/installed
 	$(BIN)/python tests/fuzz/fuzz.py --count 1000000 --cores $(CORES)
 
 # What continuous integration checks before the tests.
-check: .venv/installed
+check: .venv/installed docs
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/snakefmt --check Snakefile workflow
@@ -29,6 +29,11 @@ check: .venv/installed
 	$(BIN)/lint-imports --no-cache --no-logo
 	$(BIN)/snakemake --lint
 	$(BIN)/python workflow/scripts/quote_numbers.py --check
+
+# The site, in docs/_build/html; examples run again after an edit of the library.
+docs: .venv/installed
+	$(BIN)/sphinx-build -W --keep-going -q -d docs/_build/doctrees docs docs/_build/html
+	$(BIN)/python docs/check_site.py docs/_build/html
 
 # Puts the numbers of docs/figures into the texts that quote them.
 numbers: .venv/installed
@@ -45,4 +50,4 @@ numbers: .venv/installed
 	touch $@
 
 clean:
-	rm -rf results logs benchmarks .snakemake
+	rm -rf results logs benchmarks .snakemake docs/_build docs/gallery docs/reference/generated

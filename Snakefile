@@ -8,6 +8,9 @@ min_version("9.0")
 configfile: "config/config.yaml"
 
 
+report: "workflow/report/workflow.rst"
+
+
 include: "workflow/rules/common.smk"
 include: "workflow/rules/phantom.smk"
 include: "workflow/rules/flow.smk"
@@ -18,7 +21,9 @@ include: "workflow/rules/samples.smk"
 include: "workflow/rules/virtual_oct.smk"
 include: "workflow/rules/ensemble.smk"
 include: "workflow/rules/robustness.smk"
+include: "workflow/rules/volume.smk"
 include: "workflow/rules/benchmark.smk"
+include: "workflow/rules/benchmark_volume.smk"
 include: "workflow/rules/studies.smk"
 include: "workflow/rules/docs.smk"
 

@@ -9,19 +9,22 @@ The convention, stated here once, for images and for volumes:
   What holds a value for each component (``spacing``, ``axes``, ``weights``, ``lengths``, pixel
   sizes, points ``x``) is ordered as components are: lateral first.
 - The first pixel's centre is the origin, and the sample ends at the centres of the outer pixels.
+- Images and their fields have double precision, volumes and theirs single.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+# Double precision, or single where it holds a volume.
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-Edge = Literal["top", "bottom", "left", "right"]
+Edge = Literal["top", "bottom", "left", "right", "front", "back"]
 
 
 class Face(NamedTuple):
@@ -53,13 +56,16 @@ class Face(NamedTuple):
         c = x[self.component]
         return grid.lengths[self.component] - c if self.last else c
 
-    def along(self, shape: tuple[int, ...]) -> int:
-        """Pixels along it, of an image of a shape (height, width)."""
-        return shape[1 - self.axis(2)]
+    def sides(self, shape: tuple[int, ...]) -> tuple[int, ...]:
+        """Pixels along each of its sides, in the order of the axes, of a grid of a shape."""
+        axis = self.axis(len(shape))
+        return shape[:axis] + shape[axis + 1 :]
 
 
-# Where two meet, the corner belongs to the later one.
+# Where two meet, what they share belongs to the later one.
 FACES: dict[Edge, Face] = {
+    "front": Face(2, False),
+    "back": Face(2, True),
     "left": Face(0, False),
     "right": Face(0, True),
     "top": Face(1, False),
@@ -67,20 +73,44 @@ FACES: dict[Edge, Face] = {
 }
 
 
+def faces(ndim: int) -> dict[Edge, Face]:
+    """Those of a grid with ``ndim`` axes, in the order of `FACES`."""
+    return {edge: face for edge, face in FACES.items() if face.component < ndim}
+
+
+def precision(ndim: int) -> type[np.floating[Any]]:
+    """Type of the numbers in images (two axes) and volumes (three), and in their fields."""
+    return np.float32 if ndim == 3 else np.float64
+
+
 @dataclass(frozen=True)
 class Grid:
-    """Pixel centres of an image: their number and their distances.
+    """Pixel centres of an image or a volume: their number and their distances.
 
     Attributes
     ----------
     shape : tuple of int
-        (height, width)
+        (height, width) or (depth, height, width)
     spacing : tuple of float
-        (h1, h2), lateral and axial distance; greater than 1 on the coarse scales.
+        (h1, h2) or (h1, h2, h3), lateral, axial and elevational distance, by default 1;
+        greater on the coarse scales.
     """
 
-    shape: tuple[int, int]
-    spacing: tuple[float, float] = (1.0, 1.0)
+    shape: tuple[int, ...]
+    spacing: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.spacing:
+            object.__setattr__(self, "spacing", (1.0,) * len(self.shape))
+
+    @property
+    def side(self) -> float:
+        """Geometric mean of the distances."""
+        return geometric_mean(self.spacing)
+
+    def samples(self, u: Array) -> Array:
+        """A displacement in samples, maybe itself, of one in the unit of the distances."""
+        return u if set(self.spacing) == {1.0} else u / componentwise(self.spacing, self.ndim)
 
     @property
     def ndim(self) -> int:
@@ -115,7 +145,7 @@ class Grid:
 
 def componentwise(values: object, ndim: int) -> Array:
     """One value for each component, shaped to act on a field of a grid with ``ndim`` axes."""
-    return np.reshape(np.asarray(values, dtype=np.float64), (-1, *[1] * ndim))
+    return np.reshape(np.asarray(values, dtype=precision(ndim)), (-1, *[1] * ndim))
 
 
 def inside(shape: tuple[int, ...], x: Array) -> Mask:
@@ -124,24 +154,35 @@ def inside(shape: tuple[int, ...], x: Array) -> Mask:
     return reduce(np.logical_and, within)
 
 
-def unit_spacing(pixel_size: tuple[float, float]) -> tuple[float, float]:
-    """Sides of a pixel in the unit that gives it the area 1."""
-    side = np.sqrt(np.prod(pixel_size))
-    return float(pixel_size[0] / side), float(pixel_size[1] / side)
+def geometric_mean(sides: Sequence[float]) -> float:
+    """Side of the square or cube that is as large as a pixel with some sides."""
+    root = np.sqrt if len(sides) == 2 else np.cbrt
+    return float(root(np.prod(sides)))
 
 
-def along_edge(profile: Array, part: Array) -> Array:
-    """Values at parts, from 0 to 1, of an edge along which a profile divides it evenly.
+def unit_spacing(pixel_size: Sequence[float]) -> tuple[float, ...]:
+    """Sides of a pixel in the unit that gives it the area or volume 1."""
+    side = geometric_mean(pixel_size)
+    return tuple(float(size / side) for size in pixel_size)
+
+
+def along_face(profile: Array, *parts: Array) -> Array:
+    """Values at parts, from 0 to 1, of the sides of a face that a profile divides evenly.
 
     Parameters
     ----------
-    profile : ndarray, shape (components, n)
-        Values at n points from one end to the other; n = 1 is constant.
-    part : ndarray, shape (k,)
+    profile : ndarray, shape (components, n, ...)
+        Values at n points from one end of a side to the other; n = 1 is constant.
+    *parts : ndarray, shape (k,)
+        For each side, in the order of the axes.
 
     Returns
     -------
-    ndarray, shape (components, k)
+    ndarray, shape (components, k, ...)
     """
-    at = np.linspace(0, 1, profile.shape[1])
-    return np.stack([np.interp(part, at, c) for c in profile])
+    for axis, part in enumerate(parts, 1):
+        at = np.linspace(0, 1, profile.shape[axis])
+        lines = np.moveaxis(profile, axis, -1)
+        values = [np.interp(part, at, line) for line in lines.reshape(-1, lines.shape[-1])]
+        profile = np.moveaxis(np.reshape(values, (*lines.shape[:-1], -1)), -1, axis)
+    return profile

@@ -61,10 +61,11 @@ Spread = Annotated[Range, AfterValidator(_spread)]
 FileName = Annotated[
     str, BeforeValidator(lambda name: str(name) if isinstance(name, Path) else name)
 ]
-Region = tuple[int, int, int, int]
+# First pixel and size of a part of an image, or of a volume, lateral first.
+Region = tuple[int, int, int, int] | tuple[int, int, int, int, int, int]
 
 # How the motion of an edge is said.
-EDGE_WORDS = "free, fixed, moved U1 U2 [um], moved FILE, or outside"
+EDGE_WORDS = "free, fixed, moved U1 U2 [U3] [um], moved FILE, or outside"
 
 
 class Section(BaseModel):
@@ -105,9 +106,9 @@ class Section(BaseModel):
         for name in self.widths:
             width = getattr(self, name)
             if width is not None and width > max(shape):
-                raise InputError(
-                    f"{name}: {width:g} px is wider than the image, {shape[1]} x {shape[0]} px"
-                )
+                what = "image" if len(shape) == 2 else "volume"
+                sides = " x ".join(str(n) for n in shape[::-1])
+                raise InputError(f"{name}: {width:g} px is wider than the {what}, {sides} px")
 
     def changed(self, **values: Any) -> Self:
         """Return the same settings with other values of some keys, checked like all others."""
@@ -131,10 +132,13 @@ def _explain(error: ValidationError) -> str:
 
 
 class Inclusion(Section):
-    """An inclusion: a disc or an ellipse along the axes."""
+    """An inclusion: a disc or an ellipse along the axes, in a volume a sphere or an ellipsoid."""
 
     x1: float = Field(ge=-FAR, le=FAR, description="lateral position of the centre, px")
     x2: float = Field(ge=-FAR, le=FAR, description="axial position of the centre (down), px")
+    x3: Annotated[float, Field(ge=-FAR, le=FAR)] | None = Field(
+        None, description="elevational position of the centre, px; of a volume alone"
+    )
     radius: Positive = Field(description="radius, of an ellipse the mean of its logarithms, px")
     aspect: Positive = Field(1.0, description="lateral over axial radius; 1 is a disc")
     stiffness: Positive = Field(description="Young's modulus relative to the background")
@@ -147,8 +151,13 @@ class Sample(Section):
         ge=8, le=FAR, description="rows of the image, which shows the whole sample, px"
     )
     width: int = Field(ge=8, le=FAR, description="columns of the image, px")
+    depth: Annotated[int, Field(ge=8, le=FAR)] | None = Field(
+        None, description="slices of the volume, px; none: an image"
+    )
     poisson_ratio: float = Field(0.49, gt=0, lt=0.5, description="Poisson ratio of all materials")
-    plane: Literal["strain", "stress"] = Field("strain", description="plane strain or plane stress")
+    plane: Literal["strain", "stress"] = Field(
+        "strain", description="plane strain or plane stress, of an image"
+    )
     inclusions: tuple[Inclusion, ...] = Field((), description="what differs from the background")
     compression: float = Field(3.0, description="upward motion of the bottom, px")
     contact: Literal["clamped", "slip"] = Field(
@@ -156,9 +165,10 @@ class Sample(Section):
     )
 
     @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
-        return self.height, self.width
+    def shape(self) -> tuple[int, ...]:
+        """Rows and columns, of a volume slices first."""
+        image = self.height, self.width
+        return image if self.depth is None else (self.depth, *image)
 
     @model_validator(mode="after")
     def _compression_fits(self) -> Self:
@@ -169,11 +179,23 @@ class Sample(Section):
             )
         return self
 
+    @model_validator(mode="after")
+    def _dimensions_agree(self) -> Self:
+        if self.depth is not None and self.plane == "stress":
+            raise ValueError("plane: a volume has no plane stress; leave it out")
+        for k, part in enumerate(self.inclusions):
+            if (part.x3 is None) != (self.depth is None):
+                wants = "no x3" if self.depth is None else "x3, as the sample has a depth"
+                raise ValueError(f"inclusions: number {k + 1} wants {wants}")
+        return self
+
 
 class Forward(Section):
     """Accuracy of the forward model."""
 
-    true_cell: Positive = Field(1.0, description="side of the elements for the true field, px")
+    true_cell: Positive | None = Field(
+        None, description="side of the elements for the true field, px; none: 1, of a volume 3"
+    )
     background_error: Positive = Field(
         1e-3, description="largest estimated error of the background field, px"
     )
@@ -455,6 +477,9 @@ class Measures(Section):
     strain_window: Positive | None = Field(
         None, description="Gaussian window of the strain's local linear fits, um; none: 3 px"
     )
+    strain_measure: Literal["small", "green-lagrange", "almansi", "hencky"] = Field(
+        "small", description="small strain, or a measure of large ones"
+    )
     error_bars: int = Field(
         16, ge=0, le=10_000, description="samples for the standard deviations; 0 leaves them out"
     )
@@ -464,15 +489,35 @@ class Measures(Section):
     )
 
 
-class Pair(Measures):
+Side = Annotated[float, Field(ge=1e-6, le=1e9)]
+
+
+class Scale(Section):
+    """The sides of a pixel; what is left open is taken from the images' files."""
+
+    lateral_size: Side | None = Field(
+        None, description="width of a pixel, um; none: what the images' files say"
+    )
+    axial_size: Side | None = Field(None, description="height of a pixel, um; none: the same")
+    elevational_size: Side | None = Field(
+        None, description="distance of the slices of a volume, um; none: the same"
+    )
+
+    @property
+    def sides(self) -> tuple[float | None, ...]:
+        """Lateral, axial and elevational side of a pixel, um."""
+        return self.lateral_size, self.axial_size, self.elevational_size
+
+
+class Pair(Measures, Scale):
     """A pair of images, or a sequence, and what is known of the sample."""
 
     reference: FileName | None = Field(
         None,
-        description="image before compression: TIFF, PNG, NumPy or MATLAB;"
+        description="image or volume before compression: TIFF, NumPy, MATLAB, HDF5 and others;"
         " FILE#3 is page 3 of a stack, FILE#name a variable",
     )
-    deformed: FileName | None = Field(None, description="image after compression")
+    deformed: FileName | None = Field(None, description="image or volume after compression")
     frames: FileName | None = Field(
         None, description="instead of both: a stack of frames; edges move by this much in each step"
     )
@@ -480,15 +525,15 @@ class Pair(Measures):
         "linear", description="use the values as they are, or their logarithm"
     )
     roi: Region | None = Field(
-        None, description="region of interest: x1, x2, width and height, px; none: all"
+        None,
+        description="region of interest: x1, x2, width and height, px (of all slices of a volume),"
+        " or x1, x2, x3, width, height and depth; none: all",
     )
     mask: FileName | None = Field(
         None,
-        description="dead zones without data: an image that is not 0 there, or the corners"
-        " of a polygon, 'x1,x2 x1,x2 x1,x2', px of the whole image",
+        description="dead zones without data: an image or volume that is not 0 there, or the"
+        " corners of a polygon, 'x1,x2 x1,x2 x1,x2', px of the whole image or of all slices",
     )
-    lateral_size: Positive = Field(1.0, description="width of a pixel, um")
-    axial_size: Positive = Field(1.0, description="height of a pixel, um")
     top: str = Field(
         "free",
         description=f"{EDGE_WORDS}: px unless the word um follows; FILE is a table of u1, u2 in px,"
@@ -498,6 +543,8 @@ class Pair(Measures):
     bottom: str = Field("free", description="the same")
     left: str = Field("free", description="the same")
     right: str = Field("free", description="the same")
+    front: str = Field("free", description="the same, of a volume's first slice")
+    back: str = Field("free", description="the same, of its last slice")
     background: str = Field(
         "none", description="none, elastic (of a homogeneous sample), or a field in px (TIFF)"
     )
@@ -511,11 +558,6 @@ class Pair(Measures):
     )
 
     @property
-    def pixel_size(self) -> tuple[float, float]:
-        """Lateral and axial side of a pixel, um."""
-        return self.lateral_size, self.axial_size
-
-    @property
     def files(self) -> list[str]:
         """Names of the images."""
         return [name for name in (self.frames, self.reference, self.deformed) if name]
@@ -526,16 +568,23 @@ class Pair(Measures):
             raise ValueError("reference and deformed: give both, or frames instead")
         if (self.reference is None) == (self.frames is None):
             raise ValueError("reference: wants reference and deformed, or frames, not both")
-        if self.roi and min(self.roi[2:]) < 8:
-            raise ValueError(f"roi: is {self.roi[2]} x {self.roi[3]} px; wants at least 8 x 8 px")
+        sides = self.roi[len(self.roi) // 2 :] if self.roi else (8,)
+        if min(sides) < 8:
+            said, least = (" x ".join(map(str, n)) for n in (sides, [8] * len(sides)))
+            raise ValueError(f"roi: is {said} px; wants at least {least} px")
         return self
 
 
 class Figures(Section):
     """How the figures look."""
 
-    pixel_size: tuple[Positive, Positive] = Field(
-        (5.0, 5.0), description="lateral and axial side of a pixel, um"
+    pixel_size: tuple[Positive, Positive] | tuple[Positive, Positive, Positive] = Field(
+        (5.0, 5.0), description="lateral, axial (and elevational) side of a pixel, um"
     )
+    unit: Literal["um", "px"] = Field("um", description="of positions and displacements")
     levels: int = Field(12, ge=2, le=50, description="number of level lines in a panel")
     dpi: int = Field(200, ge=50, le=1200, description="resolution of the PNG files, dots per inch")
+
+    def sides(self, ndim: int) -> tuple[float, ...]:
+        """Sides of a pixel of an image, or of a voxel, um; as deep as it is wide by default."""
+        return (*self.pixel_size, self.pixel_size[0])[:ndim]

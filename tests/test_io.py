@@ -66,21 +66,20 @@ def written(folder, kind):
         "nan": (np.where(I == 65, np.nan, I), "1 values are NaN or infinite.*row 2, column 5"),
         "inf": (np.where(I == 65, np.inf, I), "1 values are NaN or infinite"),
         "rgb": (np.eye(3, dtype=np.uint8)[np.eye(20, 30, dtype=int)], "is a colour image"),
-        "stack": (np.zeros((5, 20, 30), np.uint8), r"a stack of shape \(5, 20, 30\)"),
-        "complex": (I.astype(np.complex64), r"complex values \(complex64\); save their amplitude"),
+        "stack": (np.zeros((5, 20, 30), np.uint8), r"a stack of shape \(5, 20, 30\) where an im"),
     }
     tifffile.imwrite(path, arrays[kind][0])
     return path, arrays[kind][1]
 
 
-KINDS = ["missing", "folder", "text", "empty", "truncated", "nan", "inf", "rgb", "stack", "complex"]
+KINDS = ["missing", "folder", "text", "empty", "truncated", "nan", "inf", "rgb", "stack"]
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_unusable_images_are_refused_in_one_line(tmp_path, kind):
     path, message = written(tmp_path, kind)
     with pytest.raises(InputError, match=message) as caught:
-        io.read_image(path)
+        io.read_image(path, 2)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
 

@@ -9,14 +9,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from eofm.analysis import summary
 from eofm.analysis.quality import data_share, inconsistency, residual
-from eofm.analysis.strain import FILTER, strain
+from eofm.analysis.strain import strain
+from eofm.analysis.summary import length
 from eofm.errors import InputError
 from eofm.flow.estimate import Estimate, estimate_displacement
 from eofm.flow.known import Known
 from eofm.flow.problem import normalised
 from eofm.flow.trust import Trust, Verdict
-from eofm.grid import FACES, Array, Mask, unit_spacing
+from eofm.grid import FACES, Array, Mask, geometric_mean, precision, unit_spacing
 from eofm.identification.stiffness import Stiffness, identify_stiffness
 from eofm.identification.uncertainty import deviations
 from eofm.imaging.bubbles import track
@@ -41,9 +43,12 @@ class Step:
     estimate : Estimate
     deviation : ndarray, shape (2, height, width), or None
         Standard deviation of its displacement.
-    standard : ndarray, shape (2, height, width)
-        Standard optical flow, for comparison.
+    standard : ndarray, shape (2, height, width), or None
+        Standard optical flow of images, for comparison; it is not computed of volumes.
     bubbles : DataFrame
+        Those that were followed.
+    found : int
+        Bubbles in the first of its frames.
     inconsistency : ndarray, shape (height, width)
         Forward-backward error.
     trust : Trust
@@ -55,8 +60,9 @@ class Step:
 
     estimate: Estimate
     deviation: Array | None
-    standard: Array
+    standard: Array | None
     bubbles: pd.DataFrame
+    found: int
     inconsistency: Array
     trust: Trust
     stiffness: Stiffness | None
@@ -65,7 +71,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Analysis:
-    """Results of a pair or a sequence.
+    """Results of a pair or a sequence of images, or of volumes, which have one more axis.
 
     Attributes
     ----------
@@ -73,7 +79,7 @@ class Analysis:
         First and last frame.
     dead : ndarray of bool, shape (height, width)
         Pixels of the first frame that carry no data.
-    pixel_size : (lateral, axial)
+    pixel_size : (lateral, axial) or (lateral, axial, elevational)
         Sides of a pixel, um.
     u : ndarray, shape (2, height, width)
         Displacement from the first frame to the last, px.
@@ -82,7 +88,8 @@ class Analysis:
     steps : list of Step
         The results of each step.
     strain : ndarray, shape (3, height, width)
-        Lateral, axial and shear strain of ``u``.
+        Lateral, axial and shear strain of ``u``; of a volume six, see
+        :func:`eofm.analysis.strain.strain`.
     residual, share : ndarray, shape (height, width)
         Difference of the warped last frame from the first; share of the data.
     summary : dict
@@ -92,7 +99,7 @@ class Analysis:
     first: Array
     last: Array
     dead: Mask
-    pixel_size: tuple[float, float]
+    pixel_size: tuple[float, ...]
     u: Array
     deviation: Array | None
     steps: list[Step]
@@ -104,8 +111,7 @@ class Analysis:
     @property
     def trust(self) -> Trust:
         """The verdict of the step with the worst one."""
-        order = ("good", "doubtful", "failed")
-        return max((step.trust for step in self.steps), key=lambda t: order.index(t.verdict))
+        return worst(self.steps)
 
     def draw(self) -> "dict[str, Figure]":
         """Return the figures by name: pair, displacement, strain, quality and stiffness."""
@@ -125,6 +131,12 @@ class Analysis:
         write_results(self, folder, images, kinds)
 
 
+def worst(steps: Sequence[Step]) -> Trust:
+    """What the images say of the step that they bear out least."""
+    order = ("good", "doubtful", "failed")
+    return max((step.trust for step in steps), key=lambda t: order.index(t.verdict))
+
+
 def analyse(
     *frames: Array,
     known: Known = Known(),
@@ -139,8 +151,8 @@ def analyse(
 
     Parameters
     ----------
-    *frames : ndarray, shape (height, width)
-        Images before and after compression, or more than two in the order of time.
+    *frames : ndarray, shape (height, width) or (depth, height, width)
+        Images, or volumes, before and after compression, or more than two in the order of time.
     known : Known
         Edges, background and dead zones of the first frame, and the sides of a pixel in um.
         Motions are those of one step. Its bubbles are not used: they are tracked.
@@ -179,16 +191,15 @@ def analyse(
     """
     if len(frames) < 2:
         raise InputError(f"frames: wants two or more images, got {len(frames)}")
-    wide = max(n * p for n, p in zip(frames[0].shape[::-1], known.pixel_size, strict=False))
-    if (measures.strain_window or 0) > wide:
-        raise InputError(
-            f"strain_window: {measures.strain_window:g} um is wider than the whole image"
-        )
-    dead = np.zeros(frames[0].shape, dtype=bool) if known.dead is None else known.dead
+    shape = frames[0].shape
+    pixel_size = known.sides(len(shape))
+    summary.check_measures(measures, shape, pixel_size)
+    dead = np.zeros(shape, dtype=bool) if known.dead is None else known.dead
     steps: list[Step] = []
-    total, variance = np.zeros((2, *dead.shape)), np.zeros((2, *dead.shape))
+    total, variance = (np.zeros((len(shape), *shape), precision(len(shape))) for _ in range(2))
     for I1, I2 in pairwise(frames):
-        guess = sample or Sample(height=dead.shape[0], width=dead.shape[1])
+        # Only of images is a stiffness wanted here.
+        guess = sample or Sample(height=shape[-2], width=shape[-1])
         sought = (guess, identification) if measures.stiffness and not steps else None
         step = _step(I1, I2, known, tracking, estimation, sought, measures.error_bars, progress)
         steps.append(step)
@@ -197,11 +208,11 @@ def analyse(
             variance += np.maximum(warp_field(step.deviation**2, total), 0)
         total = total + warp_field(step.estimate.u, total)
         for edge in known.edges if estimation.edge_weight is None else ():
-            on = FACES[edge].pixels()
+            on = FACES[edge].pixels(len(shape))
             total[:, *on] = sum(s.estimate.u[:, *on] for s in steps)
-    pixel_size, (first, last) = known.pixel_size, (frames[0], frames[-1])
-    window = measures.strain_window or 3 * float(np.sqrt(np.prod(pixel_size)))
-    e = strain(total, pixel_size, window)
+    first, last = frames[0], frames[-1]
+    window = measures.strain_window or 3 * geometric_mean(pixel_size)
+    e = strain(total, pixel_size, window, measures.strain_measure)
     left = residual(first, last, total)
     share = data_share(
         normalised(first, last, estimation, pixel_size)[0],
@@ -211,30 +222,18 @@ def analyse(
         unit_spacing(pixel_size),
         dead,
     )
-    summary = _summary(pixel_size, dead, steps, total, e, window)
-    summary |= {
-        "residual_rms": float(np.sqrt(np.nanmean(left[~dead] ** 2))),
-        "residual_rms_without_motion": float(
-            np.sqrt(np.nanmean(residual(first, last, 0 * total)[~dead] ** 2))
-        ),
-        "share_of_data_median": float(np.median(share)),
-    }
-    if (found := steps[0].stiffness) is not None:
-        moduli = None if found.refused else [float(found.E.min()), float(found.E.max())]
-        summary["stiffness"] = {
-            "refused": found.refused or None,
-            "modulus_range": moduli,
-            "contrast_is_significant": found.contrast,
-            "edges_sought": list(found.problem.model.loose),
-            "edge_motion_factor": found.scale,
-            "gamma": found.gamma,
-            "rounds": found.rounds,
-            "last_change_of_u": found.change,
-        }
+    found = summary.of_motion(pixel_size, dead, steps, total)
+    found |= summary.of_strain(e, measures, window, dead)
+    without = residual(first, last, np.zeros_like(total))
+    match = worst(steps).map
+    found |= summary.of_images(frames, dead, (left, without), share, match)
+    found["reach_px"] = summary.reach(shape, estimation)
+    if (stiffness := steps[0].stiffness) is not None:
+        found["stiffness"] = summary.of_stiffness(stiffness)
     deviation = np.sqrt(variance) if measures.error_bars else None
     if deviation is not None:
-        summary["deviation_median_px"] = [float(np.median(d)) for d in deviation]
-    return Analysis(first, last, dead, pixel_size, total, deviation, steps, e, left, share, summary)
+        found["deviation_median_px"] = [float(np.median(d)) for d in deviation]
+    return Analysis(first, last, dead, pixel_size, total, deviation, steps, e, left, share, found)
 
 
 def _step(
@@ -251,10 +250,12 @@ def _step(
     kept = estimation.model_dump(include={"scales", "factor", "limits", "local_window"})
     plain = Estimation(method="paper", beta=0.0, warps=estimation.warps, **WARPING, **kept)
     alone = Known(dead=known.dead, pixel_size=known.pixel_size)
-    standard = estimate_displacement(I1, I2, plain, alone, progress=progress).u
+    standard = None
+    if I1.ndim == 2:
+        standard = estimate_displacement(I1, I2, plain, alone, progress=progress).u
     # Bubbles are sought where the images alone, followed as well as can be, say that they went.
     images = estimate_displacement(I1, I2, Estimation(**kept), known, progress=progress)
-    bubbles = _tracked(I1, I2, tracking, images, known.dead)
+    bubbles, found = _tracked(I1, I2, tracking, images, known.dead)
     known = replace(known, bubbles=bubbles)
     stiffness, deviation, modulus_deviation = None, None, None
     if sought is None:
@@ -279,6 +280,7 @@ def _step(
         deviation,
         standard,
         bubbles,
+        found,
         errors,
         _trust(estimate.trust, deviation, errors, known.dead),
         stiffness,
@@ -288,8 +290,10 @@ def _step(
 
 def _tracked(
     I1: Array, I2: Array, tracking: Tracking, images: Estimate, dead: Mask | None
-) -> pd.DataFrame:
+) -> tuple[pd.DataFrame, int]:
     """Bubbles outside of dead zones that do not contradict what the images say where they agree.
+
+    And how many there are in the first image.
 
     Raises
     ------
@@ -297,24 +301,25 @@ def _tracked(
         If none is found, or none is left.
     """
     bubbles = track(I1, I2, tracking, prediction=images.u)
-    x = bubbles[["x1", "x2"]].to_numpy().T
+    found = int(bubbles.attrs["found"])
+    x, motion = (
+        bubbles[[f"{name}{i + 1}" for i in range(I1.ndim)]].to_numpy().T for name in ("x", "u")
+    )
     at = tuple(x[::-1].round().astype(np.intp))
-    if dead is not None:
-        bubbles = bubbles[~dead[at]]
-        if bubbles.empty:
-            raise InputError("mask: leaves no bubble; make it smaller, or lower the threshold")
-        at = at[0][bubbles.index], at[1][bubbles.index]
-    off = np.hypot(*(bubbles[["u1", "u2"]].to_numpy().T - images.u[:, *at]))
+    live = np.ones(len(bubbles), dtype=bool) if dead is None else ~dead[at]
+    if not live.any():
+        raise InputError("mask: leaves no bubble; make it smaller, or lower the threshold")
+    off = length(motion - images.u[:, *at])
     sure = np.nan_to_num(images.trust.map)[at] > SURE
-    kept = bubbles[~sure | (off <= CONTRADICTING)]
-    return (bubbles if kept.empty else kept).reset_index(drop=True)
+    kept = live & (~sure | (off <= CONTRADICTING))
+    return bubbles[kept if kept.any() else live].reset_index(drop=True), found
 
 
 def _trust(trust: Trust, deviation: Array | None, errors: Array, dead: Mask | None) -> Trust:
     """The verdict, and what error bars and the way back add to it."""
     live = np.isfinite(errors) if dead is None else np.isfinite(errors) & ~dead
     doubts = []
-    if deviation is not None and (bar := float(np.median(np.hypot(*deviation)))) > LONG:
+    if deviation is not None and (bar := float(np.median(length(deviation)))) > LONG:
         doubts.append(f"half of the error bars are longer than {bar:.2f} px")
     if live.any() and (gap := float(np.median(errors[live]))) > LONG:
         doubts.append(f"the way back misses the start by {gap:.2f} px in the median")
@@ -322,37 +327,3 @@ def _trust(trust: Trust, deviation: Array | None, errors: Array, dead: Mask | No
         return trust
     verdict: Verdict = "failed" if trust.verdict == "failed" else "doubtful"
     return replace(trust, verdict=verdict, reasons=(*trust.reasons, *doubts))
-
-
-def _summary(
-    pixel_size: tuple[float, float],
-    dead: Mask,
-    steps: list[Step],
-    u: Array,
-    e: Array,
-    window: float,
-) -> dict[str, Any]:
-    def span(values: Array) -> list[float]:
-        return [float(values.min()), float(values.max())]
-
-    errors = np.concatenate([step.inconsistency[~dead] for step in steps])
-    return {
-        "size_px": [u.shape[2], u.shape[1]],
-        "pixel_size_um": list(pixel_size),
-        "steps": len(steps),
-        "bubbles": [len(step.bubbles) for step in steps],
-        "bubble_quality_median": float(
-            np.median(np.concatenate([s.bubbles.quality for s in steps]))
-        ),
-        "alpha": [step.estimate.alpha for step in steps],
-        "u1_range_px": span(u[0]),
-        "u2_range_px": span(u[1]),
-        "u1_range_um": span(u[0] * pixel_size[0]),
-        "u2_range_um": span(u[1] * pixel_size[1]),
-        "strain_filter": FILTER,
-        "strain_window_um": window,
-        "axial_strain_mean": float(e[1].mean()),
-        "dead_share": float(dead.mean()),
-        "forward_backward_error_median_px": float(np.nanmedian(errors)),
-        "trust": [step.trust.summary() for step in steps],
-    }

@@ -1,7 +1,8 @@
 """Figures of images and displacement fields, as one would put them into a paper.
 
-Positions are in um, displacements in px; depth grows downwards. The colour maps are
-safe for colour-blind readers, and level lines carry the values in print.
+Positions, displacements and their errors have one unit; depth grows downwards. The colour maps
+are safe for colour-blind readers, and level lines carry the values in print. Of volumes, panels
+show three sections, see `eofm.analysis.sections`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,10 +14,19 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.image import AxesImage
-from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
+from eofm.analysis.panels import (
+    SHARE,
+    Look,
+    arrows,
+    level_lines,
+    name_axes,
+    panels,
+    scale,
+    show,
+    unit_name,
+)
+from eofm.analysis.tensors import pairs
 from eofm.grid import Array
 from eofm.io import replacing
 from eofm.settings import Figures
@@ -24,34 +34,33 @@ from eofm.settings import Figures
 STYLE: Any = {
     "font.size": 8,
     "axes.titlesize": 9,
-    "contour.linewidth": 0.5,
     "pdf.fonttype": 42,
     "image.interpolation": "nearest",
 }
-MAPS = ("RdBu_r", "viridis")
-COMPONENTS = ("u_1", "u_2")
-NAMES = ("lateral", "axial")
-WIDTH = 3.4  # of one panel, inches
-ARROWS = 250
+MAPS = ("RdBu_r", "viridis", "RdBu_r")
+NAMES = ("lateral", "axial", "elevational")
 
 
 def image_pair(
-    I1: Array, I2: Array, settings: Figures = Figures(), bubbles: pd.DataFrame | None = None
+    I1: Array,
+    I2: Array,
+    settings: Figures = Figures(),
+    bubbles: pd.DataFrame | None = None,
+    titles: tuple[str, str] = ("before compression", "after compression"),
 ) -> Figure:
     """Images before and after compression in one grey scale, the brightest pixels cut off.
 
-    With ``bubbles``, red arrows show their motion, as in Figure 1.
+    With ``bubbles``, arrows on the image before show their motion, as in Figure 1.
     """
     low, high = np.percentile([I1, I2], [0, 99.9])
+    look = Look("gray", (float(low), float(high)))
     with mpl.rc_context(STYLE):
-        figure, axes = _panels(1, 2, I1.shape, settings)
-        for axis, I, title in zip(axes[0], (I1, I2), ("before", "after"), strict=True):
-            shown = axis.imshow(I, "gray", vmin=low, vmax=high, extent=_extent(I.shape, settings))
-            axis.set_title(f"{title} compression")
-            if bubbles is not None:
-                _arrows(axis, bubbles, I.shape[1] * settings.pixel_size[0], settings)
-        _colour_bar(axes[0, 1], shown, "intensity")
-        _label(axes)
+        figure, axes = panels(1, 2, I1.shape, settings)
+        for axis, I, title in zip(axes[0], (I1, I2), titles, strict=True):
+            show(axis, I, title, look, settings)
+        if bubbles is not None and I1.ndim == 2:
+            arrows(axes[0, 0], bubbles, I1.shape, settings)
+        name_axes(axes, settings)
     return figure
 
 
@@ -64,14 +73,14 @@ def compare_fields(
     """
     shape, columns = next(iter(fields.values())).shape[1:], len(fields) + (deviation is not None)
     with mpl.rc_context(STYLE):
-        figure, axes = _panels(2, columns, shape, settings)
-        for i in (0, 1):
+        figure, axes = panels(len(shape), columns, shape, settings)
+        for i in range(len(shape)):
             limits = _limits(np.stack([u[i] for u in fields.values()]), i)
             for axis, (name, u) in zip(axes[i], fields.items(), strict=False):
-                _draw(axis, u[i], f"{name}: ${COMPONENTS[i]}$", MAPS[i], limits, settings)
+                _draw(axis, u[i], f"{name}: $u_{i + 1}$", MAPS[i], i, limits, settings)
             if deviation is not None:
                 _draw_deviation(axes[i, -1], deviation[i], i, settings)
-        _label(axes)
+        name_axes(axes, settings)
     return figure
 
 
@@ -84,24 +93,24 @@ def compare_errors(
     """
     settings = settings.changed(levels=max(settings.levels // 2, 2))
     with mpl.rc_context(STYLE):
-        figure, axes = _panels(2, len(fields), truth.shape[1:], settings)
-        for i in (0, 1):
+        figure, axes = panels(len(truth), len(fields), truth.shape[1:], settings)
+        for i in range(len(truth)):
             errors = {name: np.abs(u[i] - truth[i]) for name, u in fields.items()}
             limits = (0.0, max(float(error.max()) for error in errors.values()) or 1.0)
             for axis, (name, error) in zip(axes[i], errors.items(), strict=True):
-                title = f"{name}: error of ${COMPONENTS[i]}$ ≤ {error.max():.2f} px"
-                _draw(axis, error, title, "magma_r", limits, settings)
-        _label(axes)
+                title = f"{name}: error of $u_{i + 1}$ {_at_most(error, i, settings)}"
+                _draw(axis, error, title, "magma_r", i, limits, settings)
+        name_axes(axes, settings)
     return figure
 
 
 def field(u: Array, settings: Figures = Figures()) -> Figure:
-    """Both components of a displacement field side by side."""
+    """The components of a displacement field side by side."""
     with mpl.rc_context(STYLE):
-        figure, axes = _panels(1, 2, u.shape[1:], settings)
-        for i in (0, 1):
-            draw_component(axes[0, i], u[i], i, _limits(u[i], i), settings)
-        _label(axes)
+        figure, axes = panels(1, len(u), u.shape[1:], settings)
+        for i, axis in enumerate(axes[0]):
+            draw_component(axis, u[i], i, _limits(u[i], i), settings)
+        name_axes(axes, settings)
     return figure
 
 
@@ -117,28 +126,32 @@ def field_and_error(
     u1 stands above u2. The estimate is drawn on the scale of the true field, the error from
     0 to ``largest`` px, so that figures of several estimates compare.
     """
+    n = len(truth)
     with mpl.rc_context(STYLE):
-        figure, axes = _panels(2, 2 if deviation is None else 3, truth.shape[1:], settings)
-        for i in (0, 1):
+        figure, axes = panels(n, 2 if deviation is None else 3, truth.shape[1:], settings)
+        for i in range(n):
             draw_component(axes[i, 0], estimate[i], i, _limits(truth[i], i), settings)
             error = np.abs(estimate[i] - truth[i])
-            title = f"absolute error of ${COMPONENTS[i]}$, at most {error.max():.2f} px"
-            _draw(axes[i, 1], error, title, "magma_r", (0, largest), settings)
+            title = f"absolute error of $u_{i + 1}$ {_at_most(error, i, settings)}"
+            _draw(axes[i, 1], error, title, "magma_r", i, (0, largest), settings)
             if deviation is not None:
                 _draw_deviation(axes[i, 2], deviation[i], i, settings)
-        _label(axes)
+        name_axes(axes, settings)
     return figure
 
 
-def strains(e: Array, settings: Figures) -> Figure:
-    """Lateral, axial and shear strain, in percent; the range leaves out 1 % at either end."""
-    names = ("lateral strain $e_{11}$", "axial strain $e_{22}$", "shear strain $e_{12}$")
+def strains(e: Array, settings: Figures, measure: str = "small") -> Figure:
+    """Normal and shear strains, in percent; the range leaves out 1 % at either end."""
+    n = e.ndim - 1
+    of = "" if measure == "small" else f" ({measure})"
     with mpl.rc_context(STYLE):
-        figure, axes = _panels(1, 3, e.shape[1:], settings)
-        for axis, values, title in zip(axes[0], 100 * e, names, strict=True):
-            largest = max(float(np.percentile(np.abs(values), 99)), 1e-6)
-            _show(axis, values, title, "RdBu_r", (-largest, largest), "%", settings)
-        _label(axes)
+        figure, axes = panels(len(e) // 3, 3, e.shape[1:], settings)
+        for axis, values, (i, j) in zip(axes.flat, 100 * e, pairs(n), strict=True):
+            name = f"{NAMES[i]} strain" if i == j else "shear strain"
+            largest = max(float(np.nanpercentile(np.abs(values), 99)), 1e-6)
+            look = Look("RdBu_r", (-largest, largest), "%")
+            show(axis, values, f"{name} $e_{{{i + 1}{j + 1}}}${of}", look, settings)
+        name_axes(axes, settings)
     return figure
 
 
@@ -146,23 +159,25 @@ def quality(maps: Mapping[str, Array], settings: Figures) -> Figure:
     """Four maps by their names.
 
     What is left after the motion, the forward-backward error in px, the correlation of the
-    images, and the share that they have in the estimate, the last two from 0 to 1.
+    images, and the share that they have in the estimate.
     """
     residual, inconsistency, *_ = maps.values()
+    unit = _mean_side(settings, residual.ndim)
     largest = max(float(np.nanpercentile(np.abs(residual), 99)), 1e-6)
     worst = max(float(np.nanpercentile(inconsistency, 99)), 1e-3)
-    looks: list[tuple[str, tuple[float, float], str]] = [
-        ("PuOr", (-largest, largest), ""),
-        ("magma_r", (0, worst), "px"),
-        ("cividis", (0, 1), ""),
-        ("cividis", (0, 1), ""),
+    looks = [
+        Look("PuOr", (-largest, largest)),
+        Look("magma_r", (0, worst * unit), unit_name(settings)),
+        Look("cividis", (0, 1)),
+        SHARE,
     ]
+    factors = (1, unit, 1, 1)
     with mpl.rc_context(STYLE):
-        figure, axes = _panels(2, 2, residual.shape, settings)
-        for axis, (title, values), look in zip(axes.flat, maps.items(), looks, strict=True):
-            colours, limits, unit = look
-            _show(axis, values, title, colours, limits, unit, settings)
-        _label(axes)
+        figure, axes = panels(2, 2, residual.shape, settings)
+        shown = zip(axes.flat, maps.items(), factors, looks, strict=True)
+        for axis, (title, values), factor, look in shown:
+            show(axis, factor * values, title, look, settings)
+        name_axes(axes, settings)
     return figure
 
 
@@ -179,62 +194,44 @@ def moduli(
     """
     shape = next(iter(maps.values())).shape
     largest = max(np.abs(np.log10(np.stack(list(maps.values())))).max(), 0.05)
-    x1, x2 = (np.arange(n) * p for n, p in zip(shape[::-1], settings.pixel_size, strict=True))
+    x1, x2 = (np.arange(n) * p for n, p in zip(shape[::-1], scale(settings, 2), strict=True))
+    look = Look("PuOr_r", (-largest, largest))
     with mpl.rc_context(STYLE):
-        figure, axes = _panels(1, len(maps) + (deviation is not None), shape, settings)
+        figure, axes = panels(1, len(maps) + (deviation is not None), shape, settings)
         for axis, (name, E) in zip(axes[0], maps.items(), strict=False):
-            title = f"$\\log_{{10}} E / E_{{bg}}$, {name}"
-            _show(axis, np.log10(E), title, "PuOr_r", (-largest, largest), "", settings)
+            show(axis, np.log10(E), f"$\\log_{{10}} E / E_{{bg}}$, {name}", look, settings)
             if outline is not None:
                 for extreme in {outline.min(), outline.max()} - {1.0}:
-                    axis.contour(x1, x2, outline, [np.sqrt(extreme)], colors="black")
+                    level = [np.sqrt(extreme)]
+                    axis.contour(x1, x2, outline, level, colors="black", linewidths=0.5)
         if deviation is not None:
-            top, title = float(deviation.max()), "standard deviation of $\\ln E$"
-            _show(axes[0, -1], deviation, title, "magma_r", (0, top), "", settings)
-        _label(axes)
+            bar = Look("magma_r", (0, float(deviation.max())))
+            show(axes[0, -1], deviation, "standard deviation of $\\ln E$", bar, settings)
+        name_axes(axes, settings)
     return figure
 
 
 def draw_component(
     axis: Axes, values: Array, i: int, limits: tuple[float, float], settings: Figures
 ) -> None:
-    """Draw component ``i`` of a field with level lines."""
-    _draw(axis, values, f"{NAMES[i]} displacement ${COMPONENTS[i]}$", MAPS[i], limits, settings)
+    """Draw component ``i`` of a field, and its ``limits``, px, with level lines."""
+    title = f"{NAMES[i]} displacement $u_{i + 1}$"
+    _draw(axis, values, title, MAPS[i], i, limits, settings)
 
 
 def save(figure: Figure, paths: Sequence[Path], settings: Figures = Figures()) -> None:
-    """Write a figure to files of the kinds that their names end in, free of dates.
-
-    Its layout is that of the first file, from then on.
-    """
+    """Write a figure to files of the kinds that their names end in, free of dates."""
     for path in paths:
-        metadata = {"CreationDate": None} if path.suffix == ".pdf" else {}
+        more: Any = {"metadata": {"CreationDate": None}} if path.suffix == ".pdf" else {}
+        if path.suffix == ".png":
+            more = {"pil_kwargs": {"compress_level": 4}}
         with replacing(path) as temporary, mpl.rc_context(STYLE):
-            figure.savefig(temporary, dpi=settings.dpi, metadata=metadata)
-        figure.set_layout_engine("none")
-
-
-def _panels(
-    rows: int, columns: int, shape: tuple[int, ...], settings: Figures
-) -> tuple[Figure, NDArray]:
-    p1, p2 = settings.pixel_size
-    aspect = shape[0] * p2 / (shape[1] * p1)
-    height = WIDTH * 0.74 * min(max(aspect, 0.3), 1.5) + 0.55
-    # Panels of a deep image are narrower instead of taller, as far as titles allow.
-    width = WIDTH * max(min(1.5 / aspect, 1.0), 0.6)
-    figure = Figure((columns * width, rows * height), layout="constrained")
-    return figure, figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-
-
-def _extent(shape: tuple[int, ...], settings: Figures) -> tuple[float, float, float, float]:
-    height, width = shape
-    p1, p2 = settings.pixel_size
-    return (-p1 / 2, (width - 0.5) * p1, (height - 0.5) * p2, -p2 / 2)
+            figure.savefig(temporary, dpi=settings.dpi, **more)
 
 
 def _limits(values: Array, i: int) -> tuple[float, float]:
     """Symmetric about zero for the lateral component, the range for the axial one."""
-    if i == 0:
+    if i != 1:
         largest = float(np.abs(values).max()) or 1.0
         return -largest, largest
     low, high = float(values.min()), float(values.max())
@@ -246,72 +243,28 @@ def _draw(
     values: Array,
     title: str,
     colours: str,
+    i: int,
     limits: tuple[float, float],
     settings: Figures,
 ) -> None:
-    extent = _extent(values.shape, settings)
-    shown = axis.imshow(values, colours, vmin=limits[0], vmax=limits[1], extent=extent)
-    axis.set_title(title)
-    _colour_bar(axis, shown, "px")
-    levels = MaxNLocator(settings.levels).tick_values(*limits)
-    # Edges that are held would be level lines themselves.
-    inner, margin = values[1:-1, 1:-1], 0.02 * (limits[1] - limits[0])
-    low, high = max(limits[0] + margin, inner.min()), min(limits[1] - margin, inner.max())
-    levels = levels[(levels > low) & (levels < high)]
-    if levels.size:
-        sides = zip(values.shape[::-1], settings.pixel_size, strict=True)
-        x1, x2 = (np.arange(1, n - 1) * p for n, p in sides)
-        lines = axis.contour(x1, x2, inner, levels, colors="black", linestyles="solid")
-        axis.clabel(lines, fontsize=6, fmt="%g")
+    """Component ``i`` of what is given in px, with level lines."""
+    factor = scale(settings, values.ndim)[i]
+    limits = factor * limits[0], factor * limits[1]
+    show(axis, factor * values, title, Look(colours, limits, unit_name(settings)), settings)
+    level_lines(axis, factor * values, limits, settings, settings.levels)
 
 
 def _draw_deviation(axis: Axes, deviation: Array, i: int, settings: Figures) -> None:
-    largest = max(float(np.percentile(deviation, 99.5)), 1e-6)
-    title = f"standard deviation of ${COMPONENTS[i]}$"
-    _show(axis, deviation, title, "magma_r", (0, largest), "px", settings)
+    factor = scale(settings, deviation.ndim)[i]
+    largest = factor * max(float(np.percentile(deviation, 99.5)), 1e-6)
+    look = Look("magma_r", (0, largest), unit_name(settings))
+    show(axis, factor * deviation, f"standard deviation of $u_{i + 1}$", look, settings)
 
 
-def _show(
-    axis: Axes,
-    values: Array,
-    title: str,
-    colours: str,
-    limits: tuple[float, float],
-    unit: str,
-    settings: Figures,
-) -> None:
-    """An image with its colour bar; grey where there is no value."""
-    extent = _extent(values.shape, settings)
-    shown = axis.imshow(values, colours, vmin=limits[0], vmax=limits[1], extent=extent)
-    axis.set_facecolor("0.7")
-    axis.set_title(title)
-    _colour_bar(axis, shown, unit)
+def _at_most(error: Array, i: int, settings: Figures) -> str:
+    return f"≤ {error.max() * scale(settings, error.ndim)[i]:.2f} {unit_name(settings)}"
 
 
-def _arrows(axis: Axes, bubbles: pd.DataFrame, width: float, settings: Figures) -> None:
-    """Arrows of the motion, longer than true where that would be too short to see.
-
-    More than ``ARROWS`` would hide the image, so some are left out then.
-    """
-    shown = bubbles.iloc[:: -(-len(bubbles) // ARROWS)]
-    p = np.array([*settings.pixel_size, *settings.pixel_size])
-    x1, x2, u1, u2 = p[:, None] * shown[["x1", "x2", "u1", "u2"]].to_numpy(float).T
-    longest = max(float(np.hypot(u1, u2).max()), 1e-9)
-    factor = max((f for f in (1, 2, 5, 10, 20, 50) if f * longest <= 0.05 * width), default=1)
-    style: Any = {"color": "red", "angles": "xy", "scale_units": "xy", "scale": 1 / factor}
-    axis.quiver(x1, x2, u1, u2, width=0.0025, headwidth=3.5, headlength=3.5, **style)
-    if factor > 1:
-        axis.set_title(f"{axis.get_title()}, arrows x {factor}")
-
-
-def _colour_bar(axis: Axes, shown: AxesImage, label: str) -> None:
-    """A colour bar as high as the axes."""
-    place = axis.inset_axes((1.02, 0, 0.03, 1))
-    axis.figure.colorbar(shown, cax=place, label=label, ticks=MaxNLocator(6))
-
-
-def _label(axes: NDArray) -> None:
-    for axis in axes[-1]:
-        axis.set_xlabel("lateral position [µm]")
-    for axis in axes[:, 0]:
-        axis.set_ylabel("axial position [µm]")
+def _mean_side(settings: Figures, ndim: int) -> float:
+    """Side of a pixel in the unit of the figure where no direction is told."""
+    return float(np.prod(scale(settings, ndim)) ** (1 / ndim))

@@ -3,19 +3,22 @@
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 
 from eofm import io
-from eofm.analysis import figures
 from eofm.analysis.analyse import Analysis
+from eofm.analysis.page import page, shares
+from eofm.analysis.tensors import invariants, labels
 from eofm.errors import InputError
 from eofm.grid import Array, componentwise
 from eofm.settings import Figures, Pair
 
-STRAIN_LABELS = ["e11 lateral", "e22 axial", "e12 shear"]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 # Kinds of files of the figures, by what `figures` says.
 KINDS = {"none": (), "png": ("png",), "all": ("png", "pdf")}
 FIGURES = ("pair", "displacement", "strain", "quality", "stiffness")
@@ -23,6 +26,7 @@ FIGURES = ("pair", "displacement", "strain", "quality", "stiffness")
 SOMETIMES = (
     "increments.tif",
     "deviation.tif",
+    "displacement_um.tif",
     "stiffness.tif",
     "stiffness_deviation.tif",
     *(f"{name}.{kind}" for name in FIGURES for kind in KINDS["all"]),
@@ -30,12 +34,14 @@ SOMETIMES = (
 RESULTS = (
     *SOMETIMES,
     "displacement.tif",
-    "displacement_um.tif",
+    "images.tif",
     "strain.tif",
+    "strain_invariants.tif",
     "trust.tif",
     "bubbles.csv",
     "bubbles.csv.sha256",
     "provenance.json",
+    "report.html",
     "summary.json",
 )
 
@@ -45,9 +51,12 @@ def write_results(
 ) -> None:
     """Write fields, tables, summary and figures into a folder.
 
-    ``displacement.tif`` (px), ``displacement_um.tif``, ``deviation.tif`` (px), ``strain.tif``,
-    ``trust.tif`` (correlation of the images after the motion), all NaN in dead zones,
-    ``bubbles.csv``, ``summary.json``, ``provenance.json``, for sequences also
+    ``images.tif`` (the first and the last frame), ``displacement.tif`` (px),
+    ``displacement_um.tif`` if the size of a pixel is known, ``deviation.tif`` (px), ``strain.tif``,
+    ``strain_invariants.tif`` (principal strains, change of volume, maximum shear), ``trust.tif``
+    (correlation of the images after the motion), all but the images NaN in dead zones,
+    ``bubbles.csv``, ``report.html`` (one page that explains them), ``summary.json``,
+    ``provenance.json``, for sequences also
     ``increments.tif``, with an identified sample ``stiffness.tif`` and
     ``stiffness_deviation.tif`` (of log E), and the figures
     ``pair``, ``displacement``, ``strain``, ``quality`` and ``stiffness`` as files of some
@@ -59,14 +68,25 @@ def write_results(
         for name in SOMETIMES:
             io.remove(folder / name)
         _write_fields(results, folder)
-        settings = Figures(pixel_size=results.pixel_size)
-        for name, figure in draw(results, settings).items() if kinds else ():
-            paths = [folder / f"{name}.{kind}" for kind in kinds]
-            figures.save(figure, paths, settings)
+        if kinds:
+            _write_figures(results, folder, kinds)
         made = io.Origin.current() or io.Origin("analyse", {})
+        by = f"Made by eofm {made.record()['eofm']}, step {made.step}."
+        text = page(results, folder.resolve().name, images, by)
+        with io.replacing(folder / "report.html") as temporary:
+            temporary.write_text(text, encoding="utf-8")
         io.write_json(folder / "provenance.json", made.record() | {"run": made.run()})
         summary = {"images": list(images)} | results.summary | {"provenance": made.record()}
         io.write_json(folder / "summary.json", summary)
+
+
+def _write_figures(results: Analysis, folder: Path, kinds: Sequence[str]) -> None:
+    # Its import takes as long as a small sample.
+    from eofm.analysis import figures
+
+    settings = figure_settings(results)
+    for name, figure in draw(results, settings).items():
+        figures.save(figure, [folder / f"{name}.{kind}" for kind in kinds], settings)
 
 
 def check_results(folder: Path, pair: Pair) -> None:
@@ -91,47 +111,63 @@ def check_results(folder: Path, pair: Pair) -> None:
 
 def _write_fields(results: Analysis, folder: Path) -> None:
     """Write all fields and the table of bubbles."""
-    size = componentwise(results.pixel_size, 2)
+    n = results.first.ndim
+    sides = results.pixel_size if results.summary["pixel_size_from"] else None
 
     def seen(values: Array) -> Array:
         return np.where(results.dead, np.nan, values)
 
-    io.write_field(folder / "displacement.tif", seen(results.u))
-    io.write_field(folder / "displacement_um.tif", seen(results.u * size), "um")
-    io.write_pages(folder / "strain.tif", seen(results.strain), STRAIN_LABELS)
-    io.write_image(folder / "trust.tif", seen(results.trust.map))
+    io.write_field(folder / "displacement.tif", seen(results.u), sides=sides)
+    if sides is not None:
+        um = seen(results.u * componentwise(sides, n))
+        io.write_field(folder / "displacement_um.tif", um, "um", sides)
+    frames = np.stack([results.first, results.last])
+    io.write_pages(folder / "images.tif", frames, ["first", "last"], sides)
+    io.write_pages(folder / "strain.tif", seen(results.strain), labels(n), sides)
+    derived = invariants(results.strain, results.summary["strain_measure"])
+    values = seen(np.stack(list(derived.values())))
+    io.write_pages(folder / "strain_invariants.tif", values, list(derived), sides)
+    io.write_image(folder / "trust.tif", seen(results.trust.map), sides)
     if results.deviation is not None:
-        io.write_field(folder / "deviation.tif", seen(results.deviation))
+        deviation = seen(results.deviation)
+        io.write_field(folder / "deviation.tif", deviation, sides=sides, of="deviation")
     first = results.steps[0]
     if first.stiffness is not None and not first.stiffness.refused:
-        io.write_image(folder / "stiffness.tif", seen(first.stiffness.E))
+        io.write_image(folder / "stiffness.tif", seen(first.stiffness.E), sides)
     if first.modulus_deviation is not None and np.isfinite(first.modulus_deviation).all():
-        io.write_image(folder / "stiffness_deviation.tif", seen(first.modulus_deviation))
+        io.write_image(folder / "stiffness_deviation.tif", seen(first.modulus_deviation), sides)
     if len(results.steps) > 1:
         increments = seen(np.concatenate([step.estimate.u for step in results.steps]))
-        labels = [f"step {k}: u{i} [px]" for k in range(len(results.steps)) for i in (1, 2)]
-        io.write_pages(folder / "increments.tif", increments, labels)
+        names = [f"step {k}: u{i + 1} [px]" for k in range(len(results.steps)) for i in range(n)]
+        io.write_pages(folder / "increments.tif", increments, names, sides)
     tables = [step.bubbles.assign(step=k) for k, step in enumerate(results.steps)]
     io.write_table(folder / "bubbles.csv", pd.concat(tables, ignore_index=True))
 
 
-def draw(results: Analysis, settings: Figures | None = None) -> dict[str, Figure]:
+def draw(results: Analysis, settings: Figures | None = None) -> "dict[str, Figure]":
     """The figures of a pair or sequence; of a sequence, the bubbles of its first step."""
-    settings = settings or Figures(pixel_size=results.pixel_size)
+    from eofm.analysis import figures
+
+    settings = settings or figure_settings(results)
     step, count, trust = results.steps[0], len(results.steps), results.trust
-    fields = {"standard flow": step.standard, "EOFM": results.u}
+    of_first = "" if count == 1 else ", first step"
+    fields = {"EOFM": results.u}
+    if step.standard is not None:
+        fields = {"standard flow": step.standard} | fields
+    titles = ("before compression", "after compression")
     if count > 1:
         fields = {f"EOFM, sum of {count} steps": results.u}
+        titles = (f"first frame{of_first}", f"last of {count + 1} frames")
     quality = {
         "residual $I_2(x + u) - I_1$": results.residual,
-        "forward-backward error": step.inconsistency,
+        f"forward-backward error{of_first}": step.inconsistency,
         f"correlation after the motion: {trust.verdict}": trust.map,
-        "share of the images in the estimate": results.share,
+        "what decides the estimate": shares(results),
     }
     drawn = {
-        "pair": figures.image_pair(results.first, results.last, settings, step.bubbles),
+        "pair": figures.image_pair(results.first, results.last, settings, step.bubbles, titles),
         "displacement": figures.compare_fields(fields, settings, results.deviation),
-        "strain": figures.strains(results.strain, settings),
+        "strain": figures.strains(results.strain, settings, results.summary["strain_measure"]),
         "quality": figures.quality(
             {name: np.where(results.dead, np.nan, values) for name, values in quality.items()},
             settings,
@@ -139,6 +175,12 @@ def draw(results: Analysis, settings: Figures | None = None) -> dict[str, Figure
     }
     if step.stiffness is not None and not step.stiffness.refused:
         drawn["stiffness"] = figures.moduli(
-            {"identified": step.stiffness.E}, step.modulus_deviation, settings
+            {f"identified{of_first}": step.stiffness.E}, step.modulus_deviation, settings
         )
     return drawn
+
+
+def figure_settings(results: Analysis) -> Figures:
+    """Figures in um where the size of a pixel was said."""
+    unit = "um" if results.summary["pixel_size_from"] else "px"
+    return Figures(pixel_size=results.pixel_size, unit=unit)

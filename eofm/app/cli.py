@@ -6,6 +6,7 @@ inside the functions, so that ``--help`` is instant.
 """
 
 import argparse
+import logging
 import signal
 import sys
 import threading
@@ -34,6 +35,7 @@ from eofm.settings import (
     Pair,
     Phantom,
     Sample,
+    Scale,
     Section,
     Tracking,
     VirtualOct,
@@ -125,7 +127,7 @@ def virtual_oct(
     """
     from eofm.simulation.virtual_oct import make_tomograms
 
-    u, u_bg = io.read_field(displacement), io.read_field(homogeneous)
+    u, u_bg = io.read_field(displacement, ndim=2), io.read_field(homogeneous, ndim=2)
     experiment = make_tomograms(u, u_bg, settings)
     io.write_image(reference, experiment.I1)
     io.write_image(deformed, experiment.I2)
@@ -160,6 +162,7 @@ def estimate(
     reference: Before,
     deformed: After,
     settings: Estimation,
+    scale: Scale,
     *,
     output: Field,
     bubbles: Bubbles = None,
@@ -185,16 +188,20 @@ def estimate(
     from eofm.flow.estimate import estimate_displacement
     from eofm.flow.known import Known
 
-    I1, I2 = io.read_pair(reference, deformed)
+    first, second = io.read_scans(reference, deformed)
+    I1, I2 = first.values, second.values
+    size = io.pixel_size({str(reference): first, str(deformed): second}, I1.ndim, scale.sides)
+    sides = size.sides if size else None
     known = Known(
         bubbles=io.read_bubbles(bubbles) if bubbles else None,
         background=io.read_field(background, I1.shape) if background else None,
+        pixel_size=sides or (1.0,) * I1.ndim,
     )
     estimate = estimate_displacement(I1, I2, settings, known, progress=True)
     bars = estimate.deviation() if deviation else None
-    io.write_field(output, estimate.u)
+    io.write_field(output, estimate.u, sides=sides)
     if deviation and bars is not None:
-        io.write_field(deviation, bars)
+        io.write_field(deviation, bars, sides=sides, of="deviation")
     return estimate.trust
 
 
@@ -227,14 +234,14 @@ def stiffness(
     from eofm.identification.stiffness import identify_stiffness
     from eofm.identification.uncertainty import deviations
 
-    I1, I2 = io.read_pair(reference, deformed)
+    I1, I2 = io.read_pair(reference, deformed, ndim=2)
     known = Known(bubbles=io.read_bubbles(bubbles) if bubbles else None)
     identified = identify_stiffness(I1, I2, sample, settings, estimation, known, progress=True)
     bars = deviations(identified) if deviation or stiffness_deviation else None
     io.write_image(output, identified.E)
     io.write_field(displacement, identified.estimate.u)
     if bars and deviation:
-        io.write_field(deviation, bars[0])
+        io.write_field(deviation, bars[0], of="deviation")
     if bars and stiffness_deviation:
         io.write_image(stiffness_deviation, bars[1])
     print(identified.summary())
@@ -301,9 +308,34 @@ def sample(
         )
     except InputError as error:
         raise InputError(f"{folder.name}: {error}") from None
+    results.summary["pixel_size_from"] = scene.pixel_size.source if scene.pixel_size else None
     folder.mkdir(parents=True, exist_ok=True)
     results.write(folder, pair.files, KINDS[pair.figures])
     return results.trust
+
+
+def view(
+    folder: Annotated[Path, reads("folder that `eofm sample` has written to")],
+) -> None:
+    """Show the results in a folder as layers of napari.
+
+      eofm view results/mine
+
+    Images, displacement with its vectors, strain and error bars, in um where the size of a pixel is
+    known and in px else. Needs napari: pip install 'eofm[view]'.
+    """
+    from eofm.analysis.layers import layers
+
+    shown = layers(folder)
+    try:
+        import napari
+    except ImportError:
+        raise InputError("napari is not installed; pip install 'eofm[view]' brings it") from None
+    viewer = napari.Viewer(title=f"eofm: {folder.resolve().name}")
+    for layer in shown:
+        viewer.add_layer(napari.layers.Layer.create(*layer))
+    viewer.axes.visible = viewer.scale_bar.visible = True
+    napari.run()
 
 
 # Settings of everything for one pair, the columns of a table of samples.
@@ -317,6 +349,7 @@ STEPS: tuple[Step, ...] = (
     track,
     estimate,
     sample,
+    view,
     stiffness,
     evaluate,
 )
@@ -354,7 +387,7 @@ def run(args: argparse.Namespace) -> int:
     given = arguments_of(args.step, args)
     Files.of(args.step, given).check()
     sections = {k: v.model_dump(mode="json") for k, v in given.items() if _is_section(v)}
-    with _ending_in_order(), io.together(), io.Origin(name, sections).recorded():
+    with _said(name), _ending_in_order(), io.together(), io.Origin(name, sections).recorded():
         trust: Trust | None = args.step(**given)
     if trust is None:
         return 0
@@ -375,6 +408,23 @@ def in_words(error: BaseException) -> str:
 
 def _is_section(value: object) -> bool:
     return isinstance(value, Section)
+
+
+@contextmanager
+def _said(name: str) -> Iterator[None]:
+    """Say on standard error, a line each, what the library notes of its input."""
+    logger = logging.getLogger("eofm")
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(logging.Formatter(f"eofm {name}: %(message)s"))
+    level, logger.propagate = logger.level, False
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
+        logger.propagate = True
 
 
 @contextmanager

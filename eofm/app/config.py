@@ -12,6 +12,7 @@ from eofm.settings import (
     Figures,
     Forward,
     Identification,
+    Inclusion,
     Phantom,
     Positive,
     Sample,
@@ -55,6 +56,34 @@ class Benchmark(Section):
     seed: int = Field(1, ge=0, description="seed of the images")
 
 
+VolumeTool = Literal["eofm", "eofm_preset", "tvl1", "ilk", "elastix", "demons", "aldvc"]
+
+
+class BenchmarkVolume(Section):
+    """The same of volumes, and the cases of al-dvc."""
+
+    sizes: tuple[Annotated[int, Field(ge=24)], ...] = Field(
+        (64, 128, 256), description="sides of the cubes, voxels"
+    )
+    largest: dict[VolumeTool, int] = Field(
+        {
+            "eofm": 256,
+            "eofm_preset": 256,
+            "tvl1": 128,
+            "ilk": 128,
+            "elastix": 128,
+            "demons": 128,
+            "aldvc": 128,
+        },
+        description="the tools, and the largest size for which each is run; beyond 128 voxels on"
+        " two threads",
+    )
+    cases: int = Field(
+        128, ge=48, description="longest side of the volumes with al-dvc's motions, voxels"
+    )
+    seed: int = Field(1, ge=0, description="seed of the volumes")
+
+
 Renderer = Literal["bubbles", "brightest", "strained", "speckle", "oct"]
 
 
@@ -68,6 +97,28 @@ class Robustness(Section):
         ("dis", "deepflow", "ilk", "elastix"), description="other tools that see the same pairs"
     )
     seed: int = Field(11, ge=0, description="seed of the half for tuning; the other has the next")
+
+
+class Volume(Section):
+    """A pressed box with a sphere, as bubbles and as dense speckle, and its estimates."""
+
+    sample: Sample = Field(
+        Sample(
+            height=80,
+            width=96,
+            depth=64,
+            compression=2.6,
+            inclusions=(Inclusion(x1=56.0, x2=50.0, x3=30.0, radius=18.0, stiffness=7.5),),
+        ),
+        description="size, sphere and load",
+    )
+    bubbles: Phantom = Field(
+        Phantom(count=500), description="images of bubbles as far apart as the paper's"
+    )
+    speckle: Phantom = Field(
+        Phantom(count=11_000, sigma=(1.2, 1.8), brightness=(0.3, 1.0), noise=0.05),
+        description="images of dense speckle",
+    )
 
 
 class Ensemble(Section):
@@ -153,8 +204,10 @@ class Config(Section):
     preset: Estimation = Estimation()
     identification: Identification = Identification()
     benchmark: Benchmark = Benchmark()
+    benchmark_volume: BenchmarkVolume = BenchmarkVolume()
     ensemble: Ensemble = Ensemble()
     robustness: Robustness = Robustness()
+    volume: Volume = Volume()
     studies: Studies = Studies()
     samples: str = Field("config/samples.tsv", description="table of your own image pairs (TSV)")
     container: str = Field(

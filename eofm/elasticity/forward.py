@@ -3,10 +3,11 @@
 The sample occupies ``[0, width - 1] x [0, height - 1]`` px, its corners being the
 centres of the corner pixels. It is fixed on top (Gamma_1), moved by ``g`` at the bottom
 (Gamma_2) and free on its sides, eq. (bdc_Dirichlet) of the paper. Depth grows
-downwards, so a compression by ``c`` px is ``g = (0, -c)``.
+downwards, so a compression by ``c`` px is ``g = (0, -c)``. A sample that has a third side is
+a box, see `eofm.elasticity.box`.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -24,11 +25,15 @@ from skfem import (
 )
 from skfem.helpers import ddot, div, sym_grad
 
-from eofm.grid import FACES, Array, Edge, Grid, along_edge, componentwise, unit_spacing
+from eofm.elasticity.box import deform_box, press_box
+from eofm.elasticity.material import lame
+from eofm.grid import FACES, Array, Edge, Grid, along_face, componentwise, unit_spacing
 from eofm.settings import Forward, Sample
 
-Spacing = tuple[float, float]
+Spacing = tuple[float, ...]
 
+# Sides of the elements of the true field of images and of volumes, px.
+CELLS = {2: 1.0, 3: 3.0}
 # Cells, along each side of a square, of the meshes of homogeneous samples; each is finer by
 # RATIO. The last one is as large as a profile of motion that is rough ever gets.
 RATIO = 1.5
@@ -41,10 +46,17 @@ GRADING = 3
 def true_field(sample: Sample, forward: Forward = Forward()) -> Array:
     """Displacement of a sample with its inclusions.
 
+    Parameters
+    ----------
+    sample : Sample
+        Size, materials, inclusions, and how it is pressed.
+    forward : Forward
+        Size of the elements.
+
     Returns
     -------
-    ndarray, shape (2, height, width)
-        In px.
+    ndarray, shape (2, height, width) or (3, depth, height, width)
+        In px; of volumes float32.
 
     Examples
     --------
@@ -55,16 +67,24 @@ def true_field(sample: Sample, forward: Forward = Forward()) -> Array:
     >>> bool(abs(u[:, 0]).max() < 1e-9), bool(abs(u[1, -1] + 1.5).max() < 1e-9)
     (True, True)
     """
-    return displacement(sample, forward.true_cell)
+    cell = forward.true_cell or CELLS[len(sample.shape)]
+    return displacement(sample, cell)
 
 
 def background_field(sample: Sample, forward: Forward = Forward()) -> Array:
     """The field u_bg of the same experiment without inclusions, eq. (Ansatz).
 
+    Parameters
+    ----------
+    sample : Sample
+        Size, materials and how it is pressed; its inclusions are not used.
+    forward : Forward
+        Largest estimated error.
+
     Returns
     -------
-    ndarray, shape (2, height, width)
-        In px.
+    ndarray, shape (2, height, width) or (3, depth, height, width)
+        In px; of volumes float32.
 
     Examples
     --------
@@ -85,16 +105,20 @@ def displacement(sample: Sample, cell: float) -> Array:
     ----------
     sample : Sample
         Size, materials and motion of the bottom. Where its contact slips, top and
-        bottom prescribe u2 alone and the middle of the top stays where it is.
+        bottom prescribe u2 alone and the middle of the top stays where it is, or a volume
+        as a whole neither moves sideways nor turns.
     cell : float
-        Side of the biquadratic elements, px.
+        Side of the biquadratic or triquadratic elements, px.
 
     Returns
     -------
-    ndarray, shape (2, height, width)
+    ndarray, shape (2, height, width) or (3, depth, height, width)
         ``u`` with ``-div sigma(u) = 0`` at the pixel centres, px.
     """
-    return _solve(sample, press(sample), make_basis(sample, cell), sample.contact == "slip")
+    slip = sample.contact == "slip"
+    if sample.depth is not None:
+        return press_box(sample, press(sample), cell, slip)
+    return _solve(sample, press(sample), make_basis(sample, cell), slip)
 
 
 def deform(
@@ -102,7 +126,7 @@ def deform(
     motion: dict[Edge, Array],
     *,
     error: float = 1e-3,
-    pixel_size: tuple[float, float] = (1.0, 1.0),
+    pixel_size: Sequence[float] = (1.0, 1.0, 1.0),
     slip: bool = False,
 ) -> Array:
     """Displacement of a homogeneous sample some of whose edges move in a known way.
@@ -114,25 +138,28 @@ def deform(
     ----------
     sample : Sample
         Size and material, without inclusions; how it is pressed is stated by ``motion``.
-    motion : dict of ndarray, shape (2, n)
-        Displacement at n points that divide an edge evenly (n = 1: constant), px.
-        The other edges are free.
+    motion : dict of ndarray, shape (2, n) or (3, n, m)
+        Displacement at points that divide an edge, or a face of a volume, evenly (n = 1:
+        constant), px. The others are free.
     error : float
         Largest error wanted, px, estimated for elements that converge with rate two at
         least. A motion that is rough from pixel to pixel is followed less closely, as far as
         the finest mesh goes.
-    pixel_size : (lateral, axial)
-        Sides of a pixel in any unit.
+    pixel_size : (lateral, axial, elevational)
+        Sides of a pixel in any unit; of an image two count.
     slip : bool
-        The edges named are held in u2 alone, and the middle of the first in u1.
+        The edges named are held in u2 alone, and the middle of the first in u1; the faces of
+        a volume along their normals alone.
 
     Returns
     -------
-    ndarray, shape (2, height, width)
+    ndarray, shape (2, height, width) or (3, depth, height, width)
         At the pixel centres, px.
     """
     sample = sample.changed(inclusions=())
-    spacing = unit_spacing(pixel_size)
+    spacing = unit_spacing(pixel_size[: len(sample.shape)])
+    if sample.depth is not None:
+        return deform_box(sample, motion, error, spacing, slip)
     coarse = np.full((2, *sample.shape), np.inf)
     for cells in MESHES:
         u = _solve(sample, motion, graded_basis(sample, cells, spacing), slip, spacing)
@@ -145,25 +172,10 @@ def deform(
 
 def press(sample: Sample) -> dict[Edge, Array]:
     """Motion of the edges of the experiment, px: top fixed, bottom moved up."""
-    return {"top": np.zeros((2, 1)), "bottom": np.array([[0.0], [-sample.compression]])}
-
-
-def lame(sample: Sample, x: Array) -> tuple[Array, Array]:
-    """Lamé parameters (lambda, mu) at points ``x`` of shape (2, ...).
-
-    In units of the background's Young modulus: only ratios matter where the boundary
-    moves by a given displacement. Plane stress replaces lambda by
-    ``2 lambda mu / (lambda + 2 mu)``.
-    """
-    E = np.ones(x.shape[1:])
-    for part in sample.inclusions:
-        square = (x[0] - part.x1) ** 2 / part.aspect + (x[1] - part.x2) ** 2 * part.aspect
-        E[square < part.radius**2] = part.stiffness
-    nu = sample.poisson_ratio
-    mu = E / (2 * (1 + nu))
-    if sample.plane == "stress":
-        return E * nu / (1 - nu**2), mu
-    return E * nu / ((1 + nu) * (1 - 2 * nu)), mu
+    top = np.zeros((ndim := len(sample.shape), *[1] * (ndim - 1)))
+    bottom = top.copy()
+    bottom[1] = -sample.compression
+    return {"top": top, "bottom": bottom}
 
 
 def make_basis(sample: Sample, cell: float, spacing: Spacing = (1.0, 1.0)) -> Basis:
@@ -256,7 +268,7 @@ def _solve(
         on = np.flatnonzero(FACES[edge].distance(x, pixels) == 0)
         other = 1 - FACES[edge].component
         along = x[other, on] / pixels.lengths[other]
-        prescribed[nodes[:, on]] = sides * along_edge(g, along)
+        prescribed[nodes[:, on]] = sides * along_face(g, along)
         if slip:
             middle = on[[np.abs(along - 0.5).argmin()]]
             dofs += [nodes[1, on], *([nodes[0, middle]] if not dofs else [])]
@@ -278,7 +290,7 @@ def _missed(u: Array, motion: dict[Edge, Array], slip: bool) -> float:
 
     def difference(edge: Edge, g: Array) -> Array:
         there = u[:, *FACES[edge].pixels()]
-        return there - along_edge(g, np.linspace(0, 1, there.shape[1]))
+        return there - along_face(g, np.linspace(0, 1, there.shape[1]))
 
     return max(np.abs(difference(edge, g)[int(slip) :, 1:-1]).max() for edge, g in motion.items())
 
@@ -293,7 +305,7 @@ def _components(basis: Basis) -> NDArray[np.int64]:
     return np.stack([np.concatenate([dofs[i] for dofs in kinds]) for i in (0, 1)])
 
 
-def _on_pixels(shape: tuple[int, int], x: Array, u: Array) -> Array:
+def _on_pixels(shape: tuple[int, ...], x: Array, u: Array) -> Array:
     """Cubic splines through values on a tensor grid of nodes, at the pixel centres."""
     x1, x2 = (np.unique(c) for c in x)
     order = np.lexsort(x)

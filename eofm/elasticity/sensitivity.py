@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from eofm.elasticity.forward import lame
-from eofm.grid import FACES, Array, Edge, along_edge
+from eofm.elasticity.material import lame
+from eofm.grid import FACES, Array, Edge, along_face
 from eofm.settings import Sample
 
 # Part of the mean diagonal that is added to a band matrix; it decides what nothing else does.
@@ -48,7 +48,7 @@ class Elastic:
     sample: Sample
     motion: dict[Edge, Array]
     cell: float = 2.5
-    spacing: tuple[float, float] = (1.0, 1.0)
+    spacing: tuple[float, ...] = (1.0, 1.0)
     loose: tuple[Edge, ...] = ()
 
     @cached_property
@@ -109,7 +109,7 @@ class Elastic:
         fixed, values = np.zeros(2 * node.size, dtype=bool), np.zeros(2 * node.size)
         for number, (edge, g) in enumerate(self.motion.items()):
             on = node[FACES[edge].pixels()]
-            along = along_edge(g, np.linspace(0, 1, len(on)))
+            along = along_face(g, np.linspace(0, 1, len(on)))
             middle = slice(len(on) // 2, len(on) // 2 + (number == 0))
             for i in (0, 1):
                 part = middle if slip and i == 0 else slice(None)

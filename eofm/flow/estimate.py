@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from tqdm import tqdm
 
-from eofm.flow.functional import Pointwise, Quadratic
+from eofm.flow.functional import Pointwise, Quadratic, unit
 from eofm.flow.known import Known
 from eofm.flow.matching import BLOCK, ImagePair, Match, held_out, random_signs
 from eofm.flow.multigrid import multigrid
@@ -21,8 +21,8 @@ from eofm.imaging.intensity import normalise_locally
 from eofm.imaging.splines import resize_field
 from eofm.settings import Estimation
 
-# Side of the grid on which starts are compared, samples.
-SIDE = 160
+# Side of the image, or volume, on which starts are compared, samples.
+SIDE = {2: 160, 3: 48}
 
 
 @dataclass(frozen=True)
@@ -31,9 +31,10 @@ class Estimate:
 
     Attributes
     ----------
-    u : ndarray, shape (2, height, width)
+    u : ndarray, shape (2, height, width) or (3, depth, height, width)
         Displacement ``u = u_bg + v``, px, with ``I2(x + u(x)) = I1(x)``: lateral (to the
-        right) and axial (down) motion of what was at x before compression.
+        right), axial (down) and, of volumes, elevational motion of what was at x before
+        compression.
     alpha : float
         Weight of the smoothness term on the last scale.
     pair : ImagePair
@@ -42,8 +43,8 @@ class Estimate:
         Filter of the linearised images, see :meth:`eofm.flow.matching.Match.filtered`.
     functional : Quadratic
         The F that was minimised last.
-    spacing : ndarray, shape (2, 1, 1)
-        Sides of a pixel in the unit of ``functional``, lateral and axial.
+    spacing : tuple of float
+        Sides of a pixel in the unit of ``functional``, lateral first.
     edges : tuple of str
         Those whose motion was stated.
     """
@@ -53,13 +54,17 @@ class Estimate:
     pair: ImagePair
     denoising: float | None
     functional: Quadratic
-    spacing: Array
+    spacing: tuple[float, ...]
     edges: tuple[Edge, ...] = ()
+
+    @property
+    def _sides(self) -> Array:
+        return componentwise(self.spacing, len(self.spacing))
 
     @cached_property
     def match(self) -> Match:
         """The images linearised about ``u``, in true lengths."""
-        u = resize_field(self.spacing * self.u, self.pair.grid.shape)
+        u = resize_field(self._sides * self.u, self.pair.grid.shape)
         return self.pair.linearise_near(u, self.denoising)
 
     @cached_property
@@ -67,9 +72,9 @@ class Estimate:
         """Whether the images, on the last scale, bear the estimate out."""
         # As they are: not even their brightness is fitted.
         pair = replace(self.pair, robust=False)
-        u = resize_field(self.spacing * self.u, pair.grid.shape)
+        u = resize_field(self._sides * self.u, pair.grid.shape)
         match = pair.linearise(u)
-        samples = u / componentwise(pair.grid.spacing, 2)
+        samples = pair.grid.samples(u)
         trust = judge(pair.I1, pair.I1 + match.r, match.used, samples, self.edges)
         return trust.on(self.u.shape[1:])
 
@@ -85,7 +90,7 @@ class Estimate:
 
         Returns
         -------
-        ndarray, shape (2, height, width)
+        ndarray, of the shape of ``u``
 
         Examples
         --------
@@ -112,7 +117,7 @@ class Estimate:
         out = held_out(match.grid.shape)
         left = around(out, MARGIN)
         b = match.g * np.where(left & match.used, match.r, 0.0)
-        A = F.terms.A * ~left + RIDGE * match.strength * componentwise([1, 0, 1], 2)
+        A = F.terms.A * ~left + RIDGE * match.strength * unit(b)
         change = multigrid(replace(F, terms=Pointwise(A, b)), tol=1e-2)
         # Blocks at the edges are extrapolated to, which says something else.
         inner = np.zeros_like(out)
@@ -123,7 +128,7 @@ class Estimate:
         return max(1.0, math.sqrt(missed / seen)) if seen > 0 else 1.0
 
     def samples(self, count: int, seed: int = 0) -> Iterator[Array]:
-        """Errors of the displacement as they may be, shape (2, height, width), px.
+        """Errors of the displacement as they may be, of its shape, px.
 
         The deviation of a sample of the posterior from its mean minimises F for data and a
         prior that are noise (Papandreou and Yuille, NIPS 2010). The noise of the data is
@@ -139,7 +144,7 @@ class Estimate:
             noise = random_signs(match.grid.shape, rng) * match.used * r
             b = match.g * noise + sigma * F.rough(rng) / match.grid.areas
             v = multigrid(replace(F, terms=Pointwise(F.terms.A, b)), tol=1e-2)
-            yield resize_field(v, self.u.shape[1:]) / self.spacing
+            yield resize_field(v, self.u.shape[1:]) / self._sides
 
 
 def estimate_displacement(
@@ -154,8 +159,8 @@ def estimate_displacement(
 
     Parameters
     ----------
-    I1, I2 : ndarray, shape (height, width)
-        Images before and after compression.
+    I1, I2 : ndarray, shape (height, width) or (depth, height, width)
+        Images, or volumes, before and after compression.
     settings : Estimation
         Weights, scales and edges. The defaults are the preset, the most accurate way this
         package has; ``Estimation(method="paper")`` is the paper's.
@@ -167,7 +172,8 @@ def estimate_displacement(
     Returns
     -------
     Estimate
-        Its ``u`` is the displacement, shape (2, height, width), px.
+        Its ``u`` is the displacement, px, shape (2, height, width) or (3, depth, height,
+        width); of volumes in single precision.
 
     Raises
     ------
@@ -212,14 +218,15 @@ def estimate_displacement(
         u, alpha, F, chosen = problem.level(number, pair, u).improve(chosen, progress)
         if settings.robust and number == compared:
             u = best_start(problem, number, pairs, u)
-    spacing = componentwise(unit_spacing(known.pixel_size), 2)
-    u = problem.carried(u, I1.shape) / spacing
+    spacing = unit_spacing(known.sides(I1.ndim))
+    u = problem.carried(u, I1.shape) / componentwise(spacing, I1.ndim)
     return Estimate(u, alpha, pair, settings.denoising, F, spacing, tuple(problem.v_edges))
 
 
 def largest_small(grids: Sequence[Grid]) -> int:
-    """Number of the largest grid of up to ``SIDE``^2 samples, or of the coarsest."""
-    return max(sum(math.prod(grid.shape) <= SIDE**2 for grid in grids) - 1, 0)
+    """Number of the largest grid of up to ``SIDE``^ndim samples, or of the coarsest."""
+    ndim = grids[0].ndim
+    return max(sum(math.prod(grid.shape) <= SIDE[ndim] ** ndim for grid in grids) - 1, 0)
 
 
 def best_start(problem: Problem, number: int, pairs: Sequence[ImagePair], u: Array) -> Array:
@@ -228,7 +235,7 @@ def best_start(problem: Problem, number: int, pairs: Sequence[ImagePair], u: Arr
     Blocks are matched on a grid that is fine enough for many of them.
     """
     pair, fine = pairs[number], pairs[largest_small(problem.grids)]
-    I1, I2 = (normalise_locally(I, COARSE) - 0.5 for I in (fine.I1, fine.I2))
+    I1, I2 = (normalise_locally(I, (COARSE,) * I.ndim) - 0.5 for I in (fine.I1, fine.I2))
     matched = match_blocks(I1, I2, fine.grid)
     if matched is None:
         return u

@@ -14,14 +14,17 @@ the trapezoidal rule in each cell: second order, and every term without derivati
 
 from dataclasses import dataclass, replace
 from functools import reduce
-from itertools import combinations_with_replacement, product
-from math import factorial, prod
+from itertools import combinations_with_replacement
+from itertools import product as tuples
+from math import factorial, prod, sqrt
 from typing import Any, Self
 
 import numpy as np
 import scipy.sparse as sp
 
-from eofm.grid import FACES, Array, Edge, Grid, Mask
+from eofm.flow.operator import Operator, axis_tables
+from eofm.flow.stencils3 import product
+from eofm.grid import FACES, Array, Edge, Grid, Mask, precision
 from eofm.imaging.gaussian import gaussians
 
 Roots = list[tuple[sp.csr_array, ...]]
@@ -31,8 +34,17 @@ ORDERS = {"gradient": 1, "bending": 2}
 
 
 def pairs(ndim: int) -> list[tuple[int, int]]:
-    """Components of the entries of a symmetric matrix as they are stored: 11, 12, 22."""
+    """Components of the entries of a symmetric matrix as they are stored.
+
+    11, 12, 22, or 11, 12, 13, 22, 23, 33.
+    """
     return list(combinations_with_replacement(range(ndim), 2))
+
+
+def unit(v: Array) -> Array:
+    """Entries of the identity, to be added to those of matrices that act on a field."""
+    entries = [float(i == j) for i, j in pairs(len(v))]
+    return np.reshape(np.asarray(entries, v.dtype), (-1, *[1] * len(v)))
 
 
 @dataclass(frozen=True)
@@ -41,16 +53,16 @@ class Pointwise:
 
     Attributes
     ----------
-    A : ndarray, shape (3, height, width)
+    A : ndarray, shape (3, height, width) or (6, depth, height, width)
         The entries of a symmetric matrix, see `pairs`.
-    b : ndarray, shape (2, height, width)
+    b : ndarray, shape (ndim, ...)
     """
 
     A: Array
     b: Array
 
     def product(self, v: Array) -> Array:
-        """``A v``, shape (2, height, width)."""
+        """``A v``, of the shape of v."""
         q = np.zeros_like(v)
         for A, (i, j) in zip(self.A, pairs(len(v)), strict=True):
             q[i] += A * v[j]
@@ -75,7 +87,7 @@ def data_term(grad_I: Array, I_t: Array, inside: Mask) -> Pointwise:
     """
     g = np.where(inside, grad_I, 0.0)
     entries = pairs(len(g))
-    A = np.empty((len(entries), *I_t.shape))
+    A = np.empty((len(entries), *I_t.shape), g.dtype)
     for entry, (i, j) in zip(A, entries, strict=True):
         np.multiply(g[i], g[j], out=entry)
     g *= I_t
@@ -87,34 +99,36 @@ def speckle_term(grid: Grid, x: Array, u: Array, beta: float | Array, sigma: flo
 
     Parameters
     ----------
-    x, u : ndarray, shape (2, M)
+    x, u : ndarray, shape (ndim, M)
         Centres of the bubbles and their displacements (less the background's), px.
     beta : float or ndarray, shape (M,)
         One weight, or one for each bubble.
     sigma : float
         Standard deviation of the Gaussians, px.
     """
-    weights = np.broadcast_to(beta, x.shape[1:]) / (2 * np.pi * sigma**2)
+    volume = (2 * np.pi) ** (grid.ndim / 2) * sigma**grid.ndim
+    weights = np.broadcast_to(beta, x.shape[1:]) / volume
     g = gaussians(grid.axes, x, sigma, weights * [np.ones_like(u[0]), *u])
     return isotropic(g[0], g[1:])
 
 
 def edge_term(grid: Grid, motion: dict[Edge, Array], weight: float) -> Pointwise:
-    """Density of ``weight int |v - g|^2 dS`` over edges, eq. (def_B).
+    """Density of ``weight int |v - g|^2 dS`` over edges or faces, eq. (def_B).
 
     Parameters
     ----------
     grid : Grid
-    motion : dict of ndarray, shape (2, n)
-        ``g`` at the n pixels of each edge.
+    motion : dict of ndarray, shape (ndim, ...)
+        ``g`` at the pixels of each edge.
     weight : float
     """
-    a, b = np.zeros(grid.shape), np.zeros((grid.ndim, *grid.shape))
+    dtype = precision(grid.ndim)
+    a, b = np.zeros(grid.shape, dtype), np.zeros((grid.ndim, *grid.shape), dtype)
     for edge, g in motion.items():
         face = FACES[edge]
         depth = grid.weights[face.component][0]
-        a[face.pixels()] += weight / depth
-        b[:, *face.pixels()] += weight / depth * g
+        a[face.pixels(grid.ndim)] += weight / depth
+        b[:, *face.pixels(grid.ndim)] += weight / depth * g
     return isotropic(a, b)
 
 
@@ -129,7 +143,7 @@ class Quadratic:
         Data and speckle term.
     alpha : float
         Weight of the smoothness term.
-    free : ndarray of bool, shape (height, width)
+    free : ndarray of bool, of the grid's shape
         False on the pixels of Gamma_1 and Gamma_2.
     smoothness : {"gradient", "bending"}
         ``R(v)``: the paper's ``int |grad v|^2``, or the integral of the squared second
@@ -143,7 +157,7 @@ class Quadratic:
     smoothness: str = "gradient"
 
     def a(self) -> sp.csr_array:
-        """Matrix of ``a`` on the free pixels, first all of v1, then all of v2."""
+        """Matrix of ``a`` on the free pixels, first all of v1, then all of v2 and so on."""
         n = self.grid.ndim
         R = self.alpha * smoothness_energy(self.grid, self.smoothness)
         blocks: list[list[Any]] = [[None] * n for _ in range(n)]
@@ -158,29 +172,57 @@ class Quadratic:
         """Vector of ``b`` on the free pixels."""
         return 2 * (self.grid.areas * self.terms.b)[:, self.free].ravel()
 
+    def operator(self) -> Operator:
+        """``K = a / 2`` without a matrix, in the precision of the terms.
+
+        Factors of the smoothness term are in double precision, so that products are summed in
+        it: the energy of smooth motions would else be lost in rounding.
+        """
+        precision = np.result_type(self.terms.A, self.terms.b, np.float32)
+        A = np.require(self.terms.A, precision, ["C", "W"])
+        free = np.require(self.free, np.bool_, ["C", "W"])
+        bending = self.smoothness == "bending"
+        axes = axis_tables(self.grid.shape, self.grid.spacing, self.alpha, bending)
+        return Operator(A, np.empty((0, *self.grid.shape), precision), free, axes, bending)
+
     def shifted(self, p: Array) -> "Quadratic":
         """The functional of ``w = v - p``, up to a constant, for ``v = p`` where not free."""
         if not p.any():
             return self
+        if self.grid.ndim == 3:
+            return self._shifted_volume(p)
+        b = self.terms.product(p)
+        np.subtract(self.terms.b, b, out=b)
         area, roots = self.grid.areas, smoothness_roots(self.grid, self.smoothness)
-        smooth = [sum(_apply(P, _apply(P, c), adjoint=True) for P in roots) / area for c in p]
-        b = self.terms.b - self.terms.product(p) - self.alpha * np.stack(smooth)
+        for target, c in zip(b, p, strict=True):
+            smooth = sum(_apply(P, _apply(P, c), adjoint=True) for P in roots)
+            target -= self.alpha * (smooth / area)
         return replace(self, terms=Pointwise(self.terms.A, b))
 
+    def _shifted_volume(self, p: Array) -> "Quadratic":
+        # The same for a volume, where sparse matrices would take ten times as long.
+        K = self.operator()
+        b, border = np.empty_like(self.terms.b, K.A.dtype), [(0, 0), (2, 2), (2, 2), (2, 2)]
+        product(b, np.pad(p.astype(b.dtype, copy=False), border), K._replace(free=self.free | True))
+        for component, weights in enumerate(self.grid.weights):
+            b /= weights.astype(b.dtype).reshape(-1, *[1] * component)
+        return replace(self, terms=Pointwise(self.terms.A, np.subtract(self.terms.b, b, out=b)))
+
     def rough(self, rng: np.random.Generator) -> Array:
-        """Draw a functional, shape (2, height, width), with covariance ``alpha R``."""
-        roots = smoothness_roots(self.grid, self.smoothness)
+        """Draw a functional, of the shape of ``terms.b``, with covariance ``alpha R``."""
+        roots, dtype = smoothness_roots(self.grid, self.smoothness), self.terms.b.dtype
 
         def draw() -> Array:
-            noise = [rng.standard_normal([M.shape[0] for M in P[::-1]]) for P in roots]
+            shapes = ([M.shape[0] for M in P[::-1]] for P in roots)
+            noise = (rng.standard_normal(shape).astype(dtype, copy=False) for shape in shapes)
             parts = (_apply(P, z, adjoint=True) for P, z in zip(roots, noise, strict=True))
-            return reduce(np.add, parts)
+            return sqrt(self.alpha) * reduce(np.add, parts)
 
-        return np.sqrt(self.alpha) * np.stack([draw() for _ in range(self.grid.ndim)])
+        return np.stack([draw() for _ in range(self.grid.ndim)])
 
     def field(self, x: Array) -> Array:
-        """The field, shape (2, height, width), of a vector of free values."""
-        v = np.zeros((self.grid.ndim, *self.grid.shape))
+        """The field, of the shape of ``terms.b``, of a vector of free values."""
+        v = np.zeros_like(self.terms.b)
         v[:, self.free] = x.reshape(len(v), -1)
         return v
 
@@ -200,7 +242,7 @@ def smoothness_roots(grid: Grid, smoothness: str) -> Roots:
     """
     order = ORDERS[smoothness]
     along = [_differences(grid, c, order) for c in range(grid.ndim)]
-    derivatives = [k for k in product(range(order, -1, -1), repeat=grid.ndim) if sum(k) == order]
+    derivatives = [k for k in tuples(range(order, -1, -1), repeat=grid.ndim) if sum(k) == order]
     roots = []
     for k in derivatives:
         copies = factorial(order) / prod(map(factorial, k))
@@ -211,7 +253,8 @@ def smoothness_roots(grid: Grid, smoothness: str) -> Roots:
 
 def _apply(matrices: tuple[sp.csr_array, ...], f: Array, adjoint: bool = False) -> Array:
     """Product of a scalar field with a matrix, or its transpose, along each component."""
-    for axis, M in enumerate(reversed(matrices)):
+    for axis, matrix in enumerate(reversed(matrices)):
+        M = matrix.astype(f.dtype, copy=False)
         lines = np.moveaxis(f, axis, 0)
         lines = ((M.T if adjoint else M) @ lines.reshape(len(lines), -1)).reshape(
             -1, *lines.shape[1:]

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from eofm.flow.functional import Pointwise, data_term
-from eofm.grid import Array, Grid, Mask, componentwise
+from eofm.grid import Array, Grid, Mask, precision
 from eofm.imaging.gaussian import blur
 from eofm.imaging.intensity import Window
 from eofm.imaging.splines import Spline, gradient
@@ -18,7 +18,9 @@ BLOCK = 8
 WHITE, SHARP = 0.6, 0.2
 # Share of data at a place between pixels that carry data and others.
 LIVE = 0.9
-TINY = np.finfo(np.float64).tiny
+TINY = float(np.finfo(np.float32).tiny)
+# Entries of an axis and those after them.
+NEIGHBOURS = np.s_[:-1], np.s_[1:]
 # Widths over which brightness and contrast, and the noise, are taken to be constant, samples.
 BRIGHTNESS, NOISE = 12.0, 6.0
 # Least local contrast and variance, as a part of the image's: black is not to be raised.
@@ -81,17 +83,10 @@ class Match:
 
     def residual(self, v: Array) -> Array:
         """What a displacement leaves of the difference of the images, shape (height, width)."""
-        d = v - self.u
-        return self.r + self.g[0] * d[0] + self.g[1] * d[1]
-
-    def block_misfits(self, v: Array, mask: Mask, block: int = BLOCK) -> Array:
-        """Mean of the squared residual in each block of a mask where pixels are used."""
-        mask = mask & self.used
-        rows, columns = (np.arange(n) // block for n in self.grid.shape)
-        label = (rows[:, None] * (columns[-1] + 1) + columns)[mask]
-        count = np.bincount(label)
-        total = np.bincount(label, self.residual(v)[mask] ** 2)
-        return total[count > 0] / count[count > 0]
+        r = self.r.copy()
+        for g, new, old in zip(self.g, v, self.u, strict=True):
+            r += g * (new - old)
+        return r
 
     def filtered(self, width: float | None) -> "Match":
         """Return the same after a Gaussian over the pixels that are used, samples.
@@ -106,10 +101,12 @@ class Match:
         width = WHITE * self.whiteness if width is None else width
         if width < SHARP:
             return self
-        mask = self.used.astype(np.float64)
+        mask = self.used.astype(self.r.dtype)
         share = np.maximum(blur(mask, width), 1e-6)
-        g1, g2, r = (blur(f * mask, width) / share for f in (*self.g, self.r))
-        return replace(self, g=np.stack([g1, g2]), r=r)
+        g, r = np.empty_like(self.g), np.empty_like(self.r)
+        for f, smooth in zip((*self.g, self.r), (*g, r), strict=True):
+            np.divide(blur(f * mask, width), share, out=smooth)
+        return replace(self, g=g, r=r)
 
     @cached_property
     def whiteness(self) -> float:
@@ -120,10 +117,14 @@ class Match:
         """
         weight = (self.g**2).sum(0) * self.used
         white = []
-        for near, far in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
-            w = np.sqrt(weight[near] * weight[far])
-            r = (w * self.r[near] * self.r[far]).sum() / max((w * self.r[near] ** 2).sum(), TINY)
-            white.append(1 - r)
+        for axis in reversed(range(weight.ndim)):
+            before, after = (
+                tuple(part if k == axis else slice(None) for k in range(weight.ndim))
+                for part in NEIGHBOURS
+            )
+            w = np.sqrt(weight[before] * weight[after])
+            r = self.r[before]
+            white.append(1 - (w * r * self.r[after]).sum() / max((w * r**2).sum(), TINY))
         return float(np.clip(2 * np.mean(white) - 1, 0, 1))
 
     @property
@@ -179,23 +180,28 @@ class ImagePair:
         if not self.robust:
             return match.filtered(denoising)
         if self.mean and (white := match.whiteness):
-            match = replace(match, g=white * g + (1 - white) * match.g)
+            mixed = np.multiply(match.g, 1 - white, out=match.g)
+            g *= white
+            mixed += g
+            match = replace(match, g=mixed)
         return match.filtered(denoising).weighed(contrast)
 
     def _linearise(self, u: Array) -> tuple[Match, Array, Array]:
         """Images linearised about a displacement, the gradient of I1, and local contrast."""
-        samples = u / componentwise(self.grid.spacing, 2)
+        samples = self.grid.samples(u)
         if self.mean:
-            warped, g, inside = self._spline.warp_with_gradient(samples, self.grid.spacing)
+            warped, g, inside = Spline(self.I2).warp_with_gradient(samples, self.grid.spacing)
         else:
-            warped, inside = self._spline.warp(samples)
+            warped, inside = Spline(self.I2).warp(samples)
         used = inside & self.live
         if not self.live_after.all():
-            used &= Spline(self.live_after.astype(np.float64)).warp(samples)[0] > LIVE
-        I1, g1, contrast = self.I1, self._gradient, np.ones(self.grid.shape)
+            used &= Spline(self.live_after.astype(u.dtype)).warp(samples)[0] > LIVE
+        g1 = gradient(self.I1, self.grid.spacing)
+        I1, contrast = self.I1, np.ones((), u.dtype)
         if self.robust and used.any():
             gain, offset, contrast = brightness(I1, warped, used)
-            I1, g1 = gain * I1 + offset, gain * g1
+            g1 *= gain
+            I1 = np.add(np.multiply(gain, I1, out=gain), offset, out=gain)
         if self.mean:
             g += g1
             g /= 2
@@ -203,14 +209,6 @@ class ImagePair:
             g = g1
         warped -= I1
         return Match(self.grid, u, g, warped, used), g1, contrast
-
-    @cached_property
-    def _spline(self) -> Spline:
-        return Spline(self.I2)
-
-    @cached_property
-    def _gradient(self) -> Array:
-        return gradient(self.I1, self.grid.spacing)
 
 
 def brightness(I1: Array, warped: Array, used: Mask) -> tuple[Array, Array, Array]:
@@ -252,11 +250,15 @@ def _variances(variance: Array, squares: Array, least: float) -> tuple[float, fl
 
 def held_out(shape: tuple[int, ...], fold: int = 0, block: int = BLOCK) -> Mask:
     """Mark a quarter of the pixels, in blocks spread evenly; ``fold`` is 0 to 3."""
-    rows, columns = (np.arange(n) // block for n in shape)
-    return (2 * rows[:, None] + columns + (rows[:, None] // 2)) % 4 == fold
+    number = np.zeros((), np.uint8)  # where 256 is 0, so it is modulo 4
+    for n, step in zip(shape, (1, 2, 1)[-len(shape) :], strict=True):
+        k = np.arange(n) // block
+        number = np.add.outer(number, (step * k + (k // 2 if step == 2 else 0)).astype(np.uint8))
+    return number % 4 == fold
 
 
 def random_signs(shape: tuple[int, ...], rng: np.random.Generator) -> Array:
-    """One random sign for each block of pixels, shape (height, width)."""
-    rows, columns = (np.arange(n) // BLOCK for n in shape)
-    return rng.choice([-1.0, 1.0], (rows[-1] + 1, columns[-1] + 1))[rows][:, columns]
+    """One random sign for each block of pixels, of a shape."""
+    blocks = [np.arange(n) // BLOCK for n in shape]
+    signs = rng.choice([-1.0, 1.0], [k[-1] + 1 for k in blocks])
+    return signs.astype(precision(len(shape)), copy=False)[np.ix_(*blocks)]

@@ -19,20 +19,27 @@ iterations that depends neither on the size nor on the image:
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import DTypeLike
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from eofm.errors import InputError
-from eofm.flow import stencils
-from eofm.flow.functional import Quadratic
-from eofm.flow.galerkin import coarsen
-from eofm.flow.stencils import SC, TC, Between, M, Operator, Real, Transfer, axis_table
+from eofm.flow import galerkin, galerkin3, stencils, stencils3
+from eofm.flow.functional import Quadratic, pairs
+from eofm.flow.operator import SC, TC, Between, M, Operator, Real, Transfer, axis_tables
 from eofm.grid import Array, Mask
+from eofm.threads import serial
 
-# Rows and columns below which there is no coarser grid.
+# The compiled loops for images and volumes.
+LOOPS = {2: stencils, 3: stencils3}
+COARSEN = {2: galerkin.coarsen, 3: galerkin3.coarsen}
+COUPLINGS = {2: 12, 3: 42}
+# Rows and columns below which an image has no coarser grid.
 COARSEST = 6
+# Nodes of a volume that need no coarser grid, and those along an axis that is not coarsened.
+FEW, THIN = 330, 3
 # Largest pointwise term, over the smoothness term, for which its average does on coarse grids.
 AVERAGE = {"gradient": 1.0, "bending": 0.02}
 # The same, for which few steps of the smoother do.
@@ -42,12 +49,15 @@ CONTRAST = 50.0
 # (its side)^4 times softer than those from pixel to pixel.
 SINGLE = 1e4
 # Relative energy of motions without smoothness energy that is zero up to rounding.
-SINGULAR = 1e-13
+SINGULAR = {np.dtype(np.float64): 1e-13, np.dtype(np.float32): 1e-7}
 # Ratio of spacings below which a direction is coarsened together with the other.
 ALIKE = math.sqrt(2) + 1e-6
 # Steps of the smoother below and above this contrast, and coarse corrections per cycle.
 # The fourth order needs more of each; between sharp bubbles it is stiff on small scales.
-CYCLE = {"gradient": (2, 4, 1), "bending": (3, 12, 2)}
+CYCLE = {
+    2: {"gradient": (2, 4, 1), "bending": (3, 12, 2)},
+    3: {"gradient": (2, 4, 1), "bending": (4, 12, 2)},
+}
 
 
 class NotConverged(InputError):  # noqa: N818 - says it all
@@ -88,26 +98,30 @@ def multigrid(
     NotConverged
         If ``max_iterations`` reach neither ``tol`` nor ``change``.
     """
-    top, operator = hierarchy(F), finest(F)
-    w1, w2 = F.grid.weights
-    r = F.terms.b * w1
-    r *= w2[:, None]
-    r *= F.free
-    size = _norm(r)
-    x, p, q = np.zeros_like(top.x, np.float64), np.zeros_like(top.x, np.float64), np.empty_like(r)
+    loops, operator = LOOPS[F.grid.ndim], F.operator()
+    top = hierarchy(F)
+    precision = operator.A.dtype
+    r = _load(F, precision)
+    size = loops.norm(r)
+    x, p = (np.zeros_like(top.x, precision) for _ in range(2))
+    # In volumes K p takes the place of an iterate that serves nobody between corrections.
+    fits = r.ndim == 4 and top.x.dtype == precision
+    lender = top if fits and isinstance(top, Level) else None
+    q = lender.y if lender else np.empty_like(r)
     if size == 0:
         return _inner(x)
     if initial is not None:
-        np.multiply(initial, F.free, out=_inner(x))
-        stencils.product(q, x, operator)
-        np.subtract(r, q, out=q)
-        if _norm(q) < size:
-            r[...] = q
+        np.multiply(initial, F.free, out=_inner(x), casting="same_kind")
+        loops.product(q, x, operator)
+        rest = _inner(q) if lender else q
+        np.subtract(r, rest, out=rest)
+        if loops.norm(q) < size:
+            r[...] = rest
         else:
             x.fill(0.0)
         del initial  # maybe nobody else's
     b = r.astype(top.x.dtype, copy=False)
-    residual, zr, changed = _norm(r) / size, math.inf, math.inf
+    residual, zr, changed = loops.norm(r) / size, math.inf, math.inf
     for iteration in range(max_iterations + 1):
         if report is not None:
             report(iteration, residual)
@@ -116,10 +130,11 @@ def multigrid(
         if iteration == max_iterations:
             break
         z = top.correct(b)
-        before, zr = zr, stencils.dot(z, r).sum()
-        stencils.redirect(p, z, zr / before)
-        pq = stencils.product(q, p, operator).sum()
-        squares = stencils.advance(x, r, b, p, q, zr / pq).sum(axis=1)
+        before, zr = zr, loops.dot(z, r).sum()
+        loops.redirect(p, z, zr / before)
+        q = lender.y if lender else q
+        pq = loops.product(q, p, operator).sum()
+        squares = loops.advance(x, r, b, p, q, zr / pq).reshape(2, -1).sum(axis=1)
         residual, changed = math.sqrt(squares[0]) / size, math.sqrt(squares[1] / F.free.size)
     raise NotConverged(
         f"multigrid: relative residual {residual:.1e} instead of {tol:.1e}, last change"
@@ -127,14 +142,19 @@ def multigrid(
     )
 
 
-def _norm(r: Real) -> float:
-    # Without BLAS, whose sums depend on the number of threads.
-    return math.sqrt(np.einsum("cij,cij->", r, r))
+def _load(F: Quadratic, precision: DTypeLike) -> Real:
+    """The right-hand side: b integrated, 0 where v is."""
+    r = F.terms.b
+    for component, weights in enumerate(F.grid.weights):
+        w = weights.astype(precision).reshape(-1, *[1] * component)
+        r = np.multiply(r, w, out=r if component else None)
+    r *= F.free
+    return r
 
 
 def _inner(u: Real) -> Real:
     """The values of a field without its border of zeros."""
-    return u[:, 2:-2, 2:-2]
+    return u[:, *[slice(2, -2)] * (u.ndim - 1)]
 
 
 @dataclass
@@ -146,8 +166,8 @@ class Level:
     operator : Operator
     degree, visits : int
         Steps of the smoother; corrections per correction of the finer grid.
-    transfer : (lateral, axial)
-        Where its nodes lie on the coarse grid.
+    transfer : tuple of Between
+        Where its nodes lie on the coarse grid, along each component.
     coarse : Level or Coarsest
     x, y : ndarray, shape (2, n + 4, m + 4)
         Fields, the present and the last iterate.
@@ -165,61 +185,68 @@ class Level:
     b: Real = field(init=False)
 
     def __post_init__(self) -> None:
-        n, m = self.operator.shape
+        shape = self.operator.shape
         precision = self.operator.A.dtype
-        self.x, self.y = np.zeros((2, 2, n + 4, m + 4), precision)
+        self.loops = LOOPS[len(shape)]
+        self.x, self.y = np.zeros((2, len(shape), *(n + 4 for n in shape)), precision)
         self.b = np.empty_like(_inner(self.coarse.x), precision, order="C")
 
     def correct(self, b: Real, visits: int = 1) -> Real:
         """Field close to K^-1 b: linear, symmetric and positive definite in b."""
         for visit in range(visits):
             self._smooth(b, visit == 0)
-            stencils.restrict(self.b, b, self.x, self.transfer, self.operator)
+            self.loops.restrict(self.b, b, self.x, self.transfer, self.operator)
             e = self.coarse.correct(self.b, self.visits)
-            stencils.prolong(self.x, e, self.operator.free, self.transfer)
+            self.loops.prolong(self.x, e, self.operator.free, self.transfer)
             self._smooth(b, False)
         return self.x
 
     def _smooth(self, b: Real, from_zero: bool) -> None:
         for step in range(1, self.degree + 1):
-            stencils.chebyshev(self.y, self.x, b, step, from_zero and step == 1, self.operator)
+            self.loops.chebyshev(self.y, self.x, b, step, from_zero and step == 1, self.operator)
             self.x, self.y = self.y, self.x
 
 
 class Coarsest:
     """The coarsest grid and the Cholesky factor of K on it, a band matrix.
 
-    Unknowns are ordered by the longer side of the grid, then the shorter one, then the
+    Unknowns are ordered by the longest side of the grid, then the shorter ones, then the
     component. The columns of K come from its products with combs, fields that are 1 on nodes
     so far apart that the stencils around them are disjoint.
     """
 
     def __init__(self, operator: Operator, precision: DTypeLike = np.float64) -> None:
-        free = operator.free
-        n, m = free.shape
-        self.axes = (1, 2, 0) if n >= m else (2, 1, 0)
-        number = np.empty((2, n, m), dtype=np.intp)
+        free, product = operator.free, LOOPS[operator.free.ndim].product
+        operator = operator.rounded(np.float64)
+        shape = free.shape
+        sides = sorted(range(free.ndim), key=lambda axis: -shape[axis])
+        self.axes = (*(axis + 1 for axis in sides), 0)
+        number = np.empty((free.ndim, *shape), dtype=np.intp)
         ordered = number.transpose(self.axes)
         ordered[...] = np.arange(number.size).reshape(ordered.shape)
-        self.x = np.zeros((2, n + 4, m + 4), precision)
-        comb, q = np.empty((2, n + 4, m + 4)), np.empty((2, n, m))
+        self.x = np.zeros((free.ndim, *(n + 4 for n in shape)), precision)
+        comb, q = np.empty(self.x.shape), np.empty(number.shape)
         reach = 2 if operator.bending else 1
         step = 2 * reach + 1
-        band = np.zeros((2 * reach * (min(n, m) + 1) + 2, 2 * n * m))
-        i, j = np.ogrid[:n, :m]
-        for c, k, l in np.ndindex(2, step, step):
+        farthest = reach * sum(int(np.prod(ordered.shape[k:])) for k in range(1, ordered.ndim))
+        band = np.zeros((farthest + free.ndim, number.size))
+        nodes = np.ogrid[*(slice(n) for n in shape)]
+        for c, *first in np.ndindex(free.ndim, *[step] * free.ndim):
+            teeth = tuple(slice(k, None, step) for k in first)
             comb.fill(0.0)
-            _inner(comb)[c, k::step, l::step] = free[k::step, l::step]
-            stencils.product(q, comb, operator)
-            tooth_i = i + (k - i + reach) % step - reach
-            tooth_j = j + (l - j + reach) % step - reach
-            inside = (tooth_i >= 0) & (tooth_i < n) & (tooth_j >= 0) & (tooth_j < m)
-            column = number[c, tooth_i.clip(0, n - 1), tooth_j.clip(0, m - 1)]
-            lower = inside & (number >= column)
+            _inner(comb)[c][teeth] = free[teeth]
+            product(q, comb, operator)
+            tooth = [i + (k - i + reach) % step - reach for i, k in zip(nodes, first, strict=True)]
+            column = number[c][*(t.clip(0, n - 1) for t, n in zip(tooth, shape, strict=True))]
+            lower = number >= column
+            for t, n in zip(tooth, shape, strict=True):
+                lower &= (t >= 0) & (t < n)
             column = np.broadcast_to(column, number.shape)[lower]
             band[number[lower] - column, column] = q[lower]
         band[0, number[:, ~free]] = 1.0
-        self.factor = cholesky_banded(band, lower=True, check_finite=False)
+        # The larger bands of volumes BLAS would share among threads, with other sums.
+        factorise = cholesky_banded if free.ndim == 2 else serial(cholesky_banded)
+        self.factor = factorise(band, lower=True, check_finite=False)
 
     def correct(self, b: Real, visits: int = 1) -> Real:
         """Field K^-1 b."""
@@ -231,36 +258,41 @@ class Coarsest:
 
 def hierarchy(F: Quadratic) -> Level | Coarsest:
     """The finest grid, linked to the coarser ones."""
-    operator = finest(F)
+    operator = F.operator()
     stiffness, area = _stiffness(operator)
-    A, free = operator.A, operator.free
-    degree, high_degree, visits = CYCLE[F.smoothness]
-    contrast = np.max(A[0] + A[2], where=free, initial=0.0) / stiffness
+    A, free, own = operator.A, operator.free, operator.A.dtype
+    degree, high_degree, visits = CYCLE[free.ndim][F.smoothness]
+    trace = sum(a for a, (i, j) in zip(A, pairs(F.grid.ndim), strict=True) if i == j)
+    contrast = np.max(trace, where=free, initial=0.0) / stiffness
+    del trace
     if contrast > CONTRAST:
         degree = high_degree
     energies = np.linalg.eigvalsh(_rigid_energy(F, stiffness))
-    if not energies[0] > SINGULAR * max(energies[-1], stiffness * area):
+    if not energies[0] > SINGULAR[own] * max(energies[-1], stiffness * area):
         raise InputError(
             "the functional has no unique minimiser: images, bubbles and edges leave a motion"
             " undetermined; give a bubble or an edge, or a smaller mask"
         )
-    precision = np.float64 if operator.bending or contrast > SINGLE else np.float32
-    average = contrast <= AVERAGE[F.smoothness] and free[1:-1, 1:-1].all()
-    couplings = 0 if average else 12
+    double = own == np.float64 and (operator.bending or contrast > SINGLE)
+    precision = np.float64 if double else np.float32
+    average = contrast <= AVERAGE[F.smoothness] and free[*[slice(1, -1)] * free.ndim].all()
+    couplings = 0 if average else COUPLINGS[free.ndim]
 
     levels: list[tuple[Operator, Transfer]] = []
     spacing = F.grid.spacing
     while (shape := _coarser(operator.shape, spacing)) is not None:
-        (n, m), (nc, mc), (h1, h2) = operator.shape, shape, spacing
-        transfer = Between.of(m, mc), Between.of(n, nc)
-        A, G = np.empty((3, nc, mc)), np.empty((couplings, nc, mc))
-        coarsen(A, G, operator, transfer)
-        spacing = h1 * (m - 1) / (mc - 1), h2 * (n - 1) / (nc - 1)
-        axes = _axes(shape, spacing, F.alpha, operator.bending)
-        A /= axes[0][M]
-        A /= axes[1][M, :, None]
-        lateral, axial = (between.rounded(precision) for between in transfer)
-        levels.append((operator.rounded(precision), (lateral, axial)))
+        sides = list(zip(operator.shape[::-1], shape[::-1], strict=True))
+        transfer = tuple(Between.of(n, coarse) for n, coarse in sides)
+        A, G = np.empty((len(A), *shape), own), np.empty((couplings, *shape), own)
+        COARSEN[free.ndim](A, G, operator, transfer)
+        spacing = tuple(
+            h * (n - 1) / (coarse - 1) for h, (n, coarse) in zip(spacing, sides, strict=True)
+        )
+        axes = axis_tables(shape, spacing, F.alpha, operator.bending)
+        for component, axis in enumerate(axes):
+            A /= axis[M].astype(own).reshape(-1, *[1] * component)
+        rounded = tuple(between.rounded(precision) for between in transfer)
+        levels.append((operator.rounded(precision), rounded))
         operator = Operator(A, G, np.ones(shape, dtype=np.bool_), axes, operator.bending)
     top: Level | Coarsest = Coarsest(operator, precision)
     for operator, transfer in reversed(levels):
@@ -268,58 +300,54 @@ def hierarchy(F: Quadratic) -> Level | Coarsest:
     return top
 
 
-def finest(F: Quadratic) -> Operator:
-    """The operator K of a functional."""
-    bending = F.smoothness == "bending"
-    A = np.require(F.terms.A, np.float64, ["C", "W"])
-    free = np.require(F.free, np.bool_, ["C", "W"])
-    axes = _axes(F.grid.shape, F.grid.spacing, F.alpha, bending)
-    return Operator(A, np.empty((0, *F.grid.shape)), free, axes, bending)
-
-
 def _stiffness(K: Operator) -> tuple[float, float]:
     """The diagonal of alpha R per area, and the area of a node, inside of the image."""
-    X1, X2 = (X[:, X.shape[1] // 2] for X in K.axes)
-    S, T = X1[SC] / X1[M] + X2[SC] / X2[M], X1[TC] * X2[TC] / (X1[M] * X2[M])
-    return float(S + T), float(X1[M] * X2[M])
+    inside = [X[:, X.shape[1] // 2] for X in K.axes]
+    S = sum(X[SC] / X[M] for X in inside)
+    T = sum(X[TC] * Y[TC] / (X[M] * Y[M]) for X, Y in combinations(inside, 2))
+    return float(S + T), float(math.prod(X[M] for X in inside))
 
 
-def _coarser(shape: tuple[int, int], spacing: tuple[float, float]) -> tuple[int, int] | None:
-    """Rows and columns of the next grid, if it is not too coarse."""
-    (n, m), (h1, h2) = shape, spacing
-    nc = n // 2 + 1 if h2 < ALIKE * h1 else n
-    mc = m // 2 + 1 if h1 < ALIKE * h2 else m
-    return None if min(nc, mc) < COARSEST else (nc, mc)
+def _coarser(shape: tuple[int, ...], spacing: tuple[float, ...]) -> tuple[int, ...] | None:
+    """The shape of the next grid, if it is not too coarse.
+
+    An axis of a volume that is short keeps its nodes, and the others go on without it.
+    """
+    image = len(shape) == 2
+    room = [image or n // 2 + 1 >= THIN for n in shape[::-1]]
+    if not any(room) or (not image and math.prod(shape) <= FEW):
+        return None
+    least = min(h for h, has in zip(spacing, room, strict=True) if has)
+    coarse = tuple(
+        n // 2 + 1 if has and h < ALIKE * least else n
+        for n, h, has in zip(shape[::-1], spacing, room, strict=True)
+    )[::-1]
+    return None if image and min(coarse) < COARSEST else coarse
 
 
 def _rigid_energy(F: Quadratic, stiffness: float) -> Array:
     """Pointwise energy of the motions without smoothness energy, a matrix.
 
-    These are the constants (order 2) or, for bending, the linear functions (order 6). Pixels
-    that are not free have a stiffness.
+    These are the constants or, for bending, the linear functions (order 6, or 12 of a volume).
+    Pixels that are not free have a stiffness.
     """
-    n, m = F.grid.shape
-    w1, w2 = F.grid.weights
-    x, y = np.linspace(-1, 1, m), np.linspace(-1, 1, n)
-    phi1, phi2 = (np.array([1 + 0 * x, x, 1 + 0 * x]), np.array([1 + 0 * y, 1 + 0 * y, y]))
-    k, l = np.indices((3, 3) if F.smoothness == "bending" else (1, 1))
-    products1, products2 = w1 * phi1[k] * phi1[l], w2 * phi2[k] * phi2[l]
+    n = F.grid.ndim
+    axes = [np.linspace(-1, 1, side) for side in F.grid.shape[::-1]]
+    powers = [w * x ** np.arange(3)[:, None] for w, x in zip(F.grid.weights, axes, strict=True)]
+    functions = np.eye(n + 1 if F.smoothness == "bending" else 1, n, k=-1, dtype=int)
+    product = functions[:, None] + functions
 
     def energy(A: Array | Mask) -> Array:
-        return np.einsum("ikl,kli->kl", np.tensordot(A, products1, (1, 2)), products2)
+        """From the moments of A, slice by slice: sums in double precision."""
+        moments = np.stack([powers[1] @ a @ powers[0].T for a in A.reshape(-1, *A.shape[-2:])])
+        for further in powers[2:]:
+            moments = np.tensordot(further, moments, 1)
+        moments = moments.reshape([3] * n)
+        return moments[*np.moveaxis(product[..., ::-1], -1, 0)]
 
-    E11, E12, E22 = map(energy, F.terms.A)
+    E = np.empty((n, n, *product.shape[:2]))
+    for A, (i, j) in zip(F.terms.A, pairs(n), strict=True):
+        E[i, j] = E[j, i] = energy(A)
     if not F.free.all():
-        fixed = stiffness * energy(~F.free)
-        E11, E22 = E11 + fixed, E22 + fixed
-    return np.block([[E11, E12], [E12, E22]])
-
-
-def _axes(
-    shape: tuple[int, int], spacing: tuple[float, float], alpha: float, bending: bool
-) -> tuple[Array, Array]:
-    """Factors of the smoothness term of a grid, (lateral, axial)."""
-    lateral, axial = (
-        axis_table(n, float(h), alpha, bending) for n, h in zip(shape[::-1], spacing, strict=True)
-    )
-    return lateral, axial
+        E[range(n), range(n)] += stiffness * energy(~F.free)
+    return np.block([list(row) for row in E])

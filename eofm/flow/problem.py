@@ -1,18 +1,30 @@
 """What is minimised on each scale, and one step of it."""
 
 from dataclasses import dataclass
-from typing import NamedTuple, Self
+from typing import NamedTuple, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from eofm.errors import InputError
 from eofm.flow.functional import Pointwise, Quadratic, edge_term, speckle_term
 from eofm.flow.known import Known
 from eofm.flow.matching import ImagePair, Match
 from eofm.flow.multigrid import multigrid
 from eofm.flow.pyramid import pyramid, sampled, solving
 from eofm.flow.weight import choose_alpha, combined, enough, first_alpha
-from eofm.grid import FACES, Array, Edge, Grid, Mask, along_edge, componentwise, unit_spacing
+from eofm.grid import (
+    FACES,
+    Array,
+    Edge,
+    Grid,
+    Mask,
+    along_face,
+    componentwise,
+    faces,
+    precision,
+    unit_spacing,
+)
 from eofm.imaging.intensity import defects, filled, normalise, normalise_locally
 from eofm.imaging.splines import evaluate_field, resize, resize_field
 from eofm.settings import Estimation
@@ -22,7 +34,7 @@ from eofm.settings import Estimation
 FINE, ROUGH = 1e-3, 1e-2
 # The finest scales, on which brightness is fitted and residuals are weighed; and the window in
 # which the images of coarser ones are normalised, samples of each.
-FINEST, COARSE = 2, (8.0, 8.0)
+FINEST, COARSE = 2, 8.0
 
 
 @dataclass(frozen=True)
@@ -34,10 +46,10 @@ class Problem:
     settings : Estimation
     grids : list of Grid
         From coarse to fine, in the unit that gives the pixels of the finest the area 1.
-    u_bg : ndarray, shape (2, height, width)
-    v_edges : dict of ndarray, shape (2, n)
+    u_bg : ndarray, shape (ndim, ...)
+    v_edges : dict of ndarray, shape (ndim, n, ...)
         ``v`` on the edges of known motion.
-    x, motion : ndarray, shape (2, M)
+    x, motion : ndarray, shape (ndim, M)
         Bubbles and their motion less that of the background.
     """
 
@@ -49,23 +61,28 @@ class Problem:
     motion: Array
 
     @classmethod
-    def of(cls, shape: tuple[int, int], settings: Estimation, known: Known) -> Self:
+    def of(cls, shape: tuple[int, ...], settings: Estimation, known: Known) -> Self:
         """Return what is known, checked against the size of the images."""
-        background = np.zeros((2, *shape)) if known.background is None else known.background
-        spacing = unit_spacing(known.pixel_size)
+        ndim = len(shape)
+        if strange := sorted(set(settings.zero_edges) - set(faces(ndim))):
+            raise InputError(f"zero_edges: {strange[0]} is an edge of volumes only")
+        spacing = unit_spacing(known.sides(ndim))
         # One scale is no multi-scale scheme, and has the pixels.
         skipped = int(settings.ends == "half" and settings.scales != 1)
         grids = pyramid(shape, settings.scales, settings.factor, spacing, skipped)
-        u_bg, h = componentwise(spacing, 2) * background, componentwise(spacing, 1)
+        x, motion = known.motions(shape)
+        h, u_bg = np.reshape(spacing, (-1, 1)), nothing(shape)
+        if known.background is not None:
+            motion = motion - evaluate_field(known.background, x)
+            u_bg = componentwise(spacing, ndim) * known.background.astype(u_bg.dtype, copy=False)
 
         def at(edge: Edge) -> Array:
-            return u_bg[:, *FACES[edge].pixels()]
+            return u_bg[:, *FACES[edge].pixels(ndim)]
 
-        v_edges = {edge: h * g - at(edge) for edge, g in known.edges.items()}
+        on = componentwise(spacing, ndim)[..., 0]
+        v_edges = {edge: on * g - at(edge) for edge, g in known.edges.items()}
         v_edges |= {edge: np.zeros_like(at(edge)) for edge in settings.zero_edges}
-        x, motion = known.motions(shape)
-        update = h * (motion - evaluate_field(background, x))
-        return cls(settings, grids, u_bg, v_edges, h * x, update)
+        return cls(settings, grids, u_bg, v_edges, h * x, h * motion)
 
     def level(self, number: int, pair: ImagePair, u: Array) -> "Level":
         """Return the problem on one of the grids, with the images sampled there.
@@ -73,16 +90,15 @@ class Problem:
         ``u`` is the field of the grid before. Where R acts on updates, it takes the part of u_bg.
         """
         settings, grid, finest = self.settings, self.grids[number], number == len(self.grids) - 1
-        u = self.carried(u, grid.shape)
         u_bg = base = resize_field(self.u_bg, grid.shape)
         edges, motion, known = _on_edges(grid, self.v_edges), self.motion, []
         if settings.smoothness_of == "update":
-            base, v = u, u - u_bg
-            motion = motion - evaluate_field(v, self.x / componentwise(grid.spacing, 1))
-            edges = {edge: g - v[:, *FACES[edge].pixels()] for edge, g in edges.items()}
+            base = self.carried(u, grid.shape)
+            v = base - u_bg
+            motion = motion - evaluate_field(v, self.x / np.reshape(grid.spacing, (-1, 1)))
+            edges = {edge: g - v[:, *FACES[edge].pixels(grid.ndim)] for edge, g in edges.items()}
         if self.x.size and (settings.speckle_scales == "all" or not finest):
-            side = float(np.sqrt(np.prod(grid.spacing))) if settings.lengths == "scale" else 1.0
-            sigma = settings.sigma * side
+            sigma = settings.sigma * (grid.side if settings.lengths == "scale" else 1.0)
             beta = _weights(grid, self.x, self.v_edges, settings, sigma)
             known.append(speckle_term(grid, self.x, motion, beta, sigma))
         if settings.edge_weight:
@@ -92,10 +108,10 @@ class Problem:
         prescribed, free = _prescribed(grid, edges)
         still = settings.warped_by == "nothing" or (number == 0 and settings.start == "zero")
         return Level(
-            settings, pair, u, u_bg, base, prescribed, free, tuple(known), decides, finest, still
+            self, pair, u, u_bg, base, prescribed, free, tuple(known), decides, finest, still
         )
 
-    def carried(self, u: Array, shape: tuple[int, int]) -> Array:
+    def carried(self, u: Array, shape: tuple[int, ...]) -> Array:
         """The field of a grid on another one.
 
         It is ``v`` that is carried, so that u_bg keeps its details and edges their motion, but
@@ -113,16 +129,18 @@ class Level:
 
     Attributes
     ----------
-    settings : Estimation
+    problem : Problem
     pair : ImagePair
-    u, u_bg : ndarray, shape (2, height, width)
-        The field so far, and the background.
-    base : ndarray, shape (2, height, width)
+    coarse : ndarray, shape (ndim, ...)
+        The field of the grid before.
+    u_bg : ndarray, shape (ndim, ...)
+        The background on this one.
+    base : ndarray, shape (ndim, ...)
         The field to which this grid adds ``v``, all of it or an update: u_bg, or what coarser
         grids have made of it.
-    prescribed : ndarray, shape (2, height, width)
+    prescribed : ndarray, shape (ndim, ...)
         A field that is ``v`` on edges where it is prescribed, 0 elsewhere.
-    free : ndarray of bool, shape (height, width)
+    free : ndarray of bool
         The other pixels.
     terms : tuple of Pointwise
         Speckle term and weak edges.
@@ -132,9 +150,9 @@ class Level:
         Whether the images are linearised about no motion first.
     """
 
-    settings: Estimation
+    problem: Problem
     pair: ImagePair
-    u: Array
+    coarse: Array
     u_bg: Array
     base: Array
     prescribed: Array
@@ -147,7 +165,7 @@ class Level:
     def functional(self, match: Match, alpha: float) -> Quadratic:
         """F of ``v`` less what is prescribed."""
         terms = sum(self.terms, start=match.density(self.base))
-        F = Quadratic(self.pair.grid, terms, alpha, self.free, self.settings.smoothness)
+        F = Quadratic(self.pair.grid, terms, alpha, self.free, self.problem.settings.smoothness)
         return F.shifted(self.prescribed)
 
     def improve(self, chosen: tuple[float, ...], progress: bool) -> "Improved":
@@ -155,10 +173,13 @@ class Level:
 
         ``chosen`` are the weights that coarser grids have chosen.
         """
-        settings, u, about = self.settings, self.u, self.base + self.prescribed
+        settings, F = self.problem.settings, cast(Quadratic, None)
+        u = self.problem.carried(self.coarse, self.pair.grid.shape)
+        about = self.base + self.prescribed if self.prescribed.any() else self.base
         # The first field of a scale may still be far from it, and its residual no noise.
         near = min(1, settings.warps - 1)
         for warp in range(settings.warps):
+            del F  # what is not needed any more makes room: of volumes it is the half
             match = self._linearised(u, self.still and warp == 0, warp >= near)
             alpha = settings.alpha or combined(chosen) or first_alpha(match)
             if self.decides and warp == near:
@@ -166,6 +187,7 @@ class Level:
                 chosen = *chosen, trial
                 alpha = combined(chosen) or trial
             F = self.functional(match, alpha)
+            del match
             last = warp == settings.warps - 1 and (
                 self.finest or settings.smoothness_of == "update"
             )
@@ -176,9 +198,10 @@ class Level:
 
     def _linearised(self, u: Array, still: bool, near: bool) -> Match:
         """The images linearised about what I2 is warped by."""
-        by = u - self.u_bg if self.settings.warped_by == "v" else u
-        by = 0 * u if still else by
-        denoising = self.settings.denoising
+        settings = self.problem.settings
+        by = u - self.u_bg if settings.warped_by == "v" else u
+        by = nothing(self.pair.grid.shape) if still else by
+        denoising = settings.denoising
         return self.pair.linearise_near(by, denoising) if near else self.pair.linearise(by)
 
 
@@ -200,52 +223,67 @@ def sampled_pairs(
     brightness and contrast are normalised locally.
     """
     dead = np.zeros(I1.shape, dtype=bool) if known.dead is None else known.dead
+    sides = known.sides(I1.ndim)
     before = after = dead
     if settings.robust:
         J1, J2 = normalise(I1, I2)
         before, after = dead | defects(filled(J1, dead)), dead | defects(filled(J2, dead))
         I1, I2 = filled(I1, before), filled(I2, after)
-    images = [sampled(I, grids) for I in normalised(I1, I2, settings, known.pixel_size)]
+    images = [sampled(I, grids) for I in normalised(I1, I2, settings, sides)]
     pairs = []
     for number, (grid, J1, J2) in enumerate(zip(grids, *images, strict=True)):
         fine = number >= len(grids) - FINEST
         if settings.robust and not fine:
-            J1, J2 = normalise_locally(J1, COARSE), normalise_locally(J2, COARSE)
-        live, live_after = (resize(m.astype(float), grid.shape) < 0.5 for m in (before, after))
+            J1, J2 = (normalise_locally(J, (COARSE,) * J.ndim) for J in (J1, J2))
+        live, live_after = (~_resized(m, grid.shape) for m in (before, after))
         mean, robust = settings.gradients == "mean", settings.robust and fine
         pairs.append(ImagePair(grid, J1, J2, live, live_after, mean, robust))
     return pairs
 
 
 def normalised(
-    I1: Array, I2: Array, settings: Estimation, pixel_size: tuple[float, float]
+    I1: Array, I2: Array, settings: Estimation, pixel_size: tuple[float, ...]
 ) -> tuple[Array, Array]:
-    """The images as the estimate sees them, of pixels with sides (lateral, axial)."""
+    """The images as the estimate sees them, of pixels with some sides."""
     I1, I2 = normalise(I1, I2, settings.limits if settings.local_window is None else None)
     settings.check_widths(I1.shape)
     if settings.local_window is None:
         return I1, I2
-    h1, h2 = unit_spacing(pixel_size)
-    window = settings.local_window / h1, settings.local_window / h2
+    window = tuple(settings.local_window / h for h in unit_spacing(pixel_size))
     return normalise_locally(I1, window), normalise_locally(I2, window)
+
+
+def nothing(shape: tuple[int, ...]) -> Array:
+    """A field that is zero and takes no memory."""
+    return np.broadcast_to(np.zeros((), precision(len(shape))), (len(shape), *shape))
+
+
+def _resized(mask: Mask, shape: tuple[int, ...]) -> Mask:
+    """A mask on another grid."""
+    if not mask.any():
+        return np.zeros(shape, dtype=bool)
+    return resize(mask.astype(precision(mask.ndim)), shape) >= 0.5
 
 
 def _prescribed(grid: Grid, edges: dict[Edge, Array]) -> tuple[Array, NDArray[np.bool_]]:
     """A field that is ``v`` on the edges where it is prescribed, and the other pixels."""
-    p, free = np.zeros((2, *grid.shape)), np.ones(grid.shape, dtype=bool)
+    p, free = nothing(grid.shape), np.ones(grid.shape, dtype=bool)
+    if edges:
+        p = p.copy()
     for edge, v in edges.items():
-        p[:, *FACES[edge].pixels()] = v
-        free[FACES[edge].pixels()] = False
+        pixels = FACES[edge].pixels(grid.ndim)
+        p[:, *pixels] = v
+        free[pixels] = False
     return p, free
 
 
 def _on_edges(grid: Grid, edges: dict[Edge, Array]) -> dict[Edge, Array]:
     """Profiles along edges sampled on a grid, in the order in which they own corners."""
     sampled = {}
-    for edge, face in FACES.items():
+    for edge, face in faces(grid.ndim).items():
         if edge in edges:
-            part = np.linspace(0, 1, face.along(grid.shape))
-            sampled[edge] = along_edge(edges[edge], part)
+            parts = (np.linspace(0, 1, n) for n in face.sides(grid.shape))
+            sampled[edge] = along_face(edges[edge], *parts)
     return sampled
 
 
@@ -253,6 +291,7 @@ def _weights(
     grid: Grid, x: Array, known: dict[Edge, Array], settings: Estimation, sigma: float
 ) -> NDArray[np.float64]:
     """The weights beta_i, raised near edges whose motion is not known."""
-    near = [face.distance(x, grid) < 2 * sigma for edge, face in FACES.items() if edge not in known]
+    unknown = (face for edge, face in faces(grid.ndim).items() if edge not in known)
+    near = [face.distance(x, grid) < 2 * sigma for face in unknown]
     factor = np.where(np.any(near, axis=0), settings.edge_bubbles, 1.0) if near else 1.0
     return settings.beta * np.broadcast_to(factor, x.shape[1:])

@@ -12,15 +12,16 @@ from eofm.imaging.splines import Spline
 
 # Fewer samples than this along a side say nothing about a displacement.
 SMALLEST = 4
-# Fewer than this are not asked for where the number of scales is left open.
+# Fewer than this are not asked for where the number of scales is left open; the depth of a volume,
+# mostly its shortest side, stays as it is then.
 SMALL = 12
 
 
 def pyramid(
-    shape: tuple[int, int],
+    shape: tuple[int, ...],
     scales: int | None,
     factor: float,
-    spacing: tuple[float, float] = (1.0, 1.0),
+    spacing: tuple[float, ...] = (),
     skipped: int = 0,
 ) -> list[Grid]:
     """Grids from coarse to fine that share the corners of the image.
@@ -35,22 +36,34 @@ def pyramid(
     InputError
         If the image is too small for so many scales.
     """
-    height, width = shape
+    if len(shape) == 3 and min(shape) < SMALLEST:
+        raise InputError(f"a volume of {_size(shape)} is too thin; give {SMALLEST} slices at least")
     grids = [Grid(shape, spacing)]
     for scale in range(1, scales + skipped if scales else max(shape)):
-        rows, columns = (ceil((n - 1) * factor) + 1 for n in grids[-1].shape)
-        least = SMALL if scales is None else SMALLEST
-        if min(rows, columns) < least or (rows, columns) == grids[-1].shape:
+        coarser = _coarser(grids[-1].shape, factor, SMALL if scales is None else SMALLEST)
+        if coarser is None:
             if scales is None:
                 break
             raise InputError(
-                f"an image of {height} x {width} px is too small for {scales} scales;"
+                f"{'an image' if len(shape) == 2 else 'a volume'} of {_size(shape)} is too small"
+                f" for {scales} scales;"
                 f" use at most {scale - skipped} (scales) or a factor nearer 1"
             )
-        coarser = (width - 1) / (columns - 1), (height - 1) / (rows - 1)
-        h1, h2 = (h * c for h, c in zip(spacing, coarser, strict=True))
-        grids.append(Grid((rows, columns), (h1, h2)))
+        sides = zip(grids[0].spacing, shape[::-1], coarser[::-1], strict=True)
+        grids.append(Grid(coarser, tuple(h * ((n - 1) / (m - 1)) for h, n, m in sides)))
     return (grids[skipped:] or grids)[::-1]
+
+
+def _coarser(shape: tuple[int, ...], factor: float, least: int) -> tuple[int, ...] | None:
+    """The next grid's shape, if there is one with at least some samples along each side."""
+    coarser = tuple(ceil((n - 1) * factor) + 1 for n in shape)
+    if len(shape) == 3 and coarser[0] < least:
+        coarser = shape[0], *coarser[1:]
+    return None if min(coarser[-2:]) < least or coarser == shape else coarser
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    return f"{' x '.join(map(str, shape))} px"
 
 
 @contextmanager
@@ -60,7 +73,7 @@ def solving(grid: Grid, progress: bool) -> Iterator[Callable[[int, float], None]
     Size of the grid, iteration and residual stand below the bar of the scales, after a second
     and if standard error is a terminal.
     """
-    title = f"{grid.shape[0]} x {grid.shape[1]} px"
+    title = _size(grid.shape)
     hidden = None if progress else True
     with tqdm(desc=title, unit=" iterations", leave=False, delay=1, disable=hidden) as bar:
 

@@ -8,20 +8,24 @@ stands elsewhere, they contradict it. By chance few windows agree, so no level o
 known. Windows are normalised one by one: brightness and contrast may change from place to place.
 """
 
-from collections.abc import Collection, Iterator
+import math
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import reduce
+from itertools import product
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from eofm.grid import FACES, Array, Edge, Mask, componentwise
+from eofm.grid import FACES, Array, Edge, Mask, precision
 
 Verdict = Literal["good", "doubtful", "failed"]
 
-# Sides of the windows, px, and how many of them an image should hold across.
-SIDES, ACROSS = (24, 64), 6
+# Sides of the windows, px, of images and of volumes, how many of them one should hold across, and
+# the part of a side by which they overlap.
+SIDES, ACROSS, OVERLAP = {2: (24, 64), 3: (16, 32)}, 6, {2: 2, 3: 1}
 # Part of a window that has to carry data, and contrast of one that shows something, relative to
 # the image's.
 SEEN, CONTRAST = 0.5, 0.01
@@ -39,9 +43,11 @@ AGREED = 0.75, 0.35
 CONTRADICTED, PARTLY, CORRELATED, DRIFTED, FOLDED, USED = 0.05, 0.5, 0.7, 0.25, 0.005, 0.1
 # Parts of the image across which a drift counts, and windows that tell it.
 PARTS, FEW = 3, 3
+# Slices, or rows, whose gradients are taken at once.
+SLAB = 16
 # Differences of images and displacements that are none.
-SAME = 1e-9
-TINY = np.finfo(np.float64).tiny
+SAME = 1e-6
+TINY = float(np.finfo(np.float32).tiny)
 
 
 @dataclass(frozen=True)
@@ -53,7 +59,7 @@ class Trust:
     verdict : {"good", "doubtful", "failed"}
     reasons : tuple of str
         Why it is not good, and what to do, a line each.
-    map : ndarray, shape (height, width)
+    map : ndarray, shape (height, width) or (depth, height, width)
         Correlation of the images around each pixel, from 0 (or contradicted) to 1; NaN where
         there is no data.
     agreeing, contradicting : float
@@ -84,11 +90,11 @@ class Trust:
         """Return the same with a map of another size, each pixel taking the nearest value."""
         if shape == self.map.shape:
             return self
-        rows, columns = (
+        nearest = (
             np.linspace(0, old - 1, new).round().astype(np.intp)
             for old, new in zip(self.map.shape, shape, strict=True)
         )
-        return replace(self, map=self.map[np.ix_(rows, columns)])
+        return replace(self, map=self.map[np.ix_(*nearest)])
 
     def summary(self) -> dict[str, float | str | list[str]]:
         """Return all but the map, for a file."""
@@ -98,34 +104,32 @@ class Trust:
 
 @dataclass(frozen=True)
 class Windows:
-    """Correlations of windows on a grid of rows and columns.
+    """Correlations of windows on a grid of them.
 
     Attributes
     ----------
-    rows, columns : ndarray
-        Centres of the windows, px.
-    here : ndarray, shape (rows, columns)
+    centres : tuple of ndarray
+        Of the windows along each axis, px.
+    here : ndarray, shape (rows, columns) or (slices, rows, columns)
         Correlation at offsets of up to ``NEAR`` px; NaN where there is no data.
-    offset : ndarray, shape (2, rows, columns)
+    offset : ndarray, shape (ndim, ...)
         Of the peak there, px.
-    agrees, contradicts : ndarray of bool, shape (rows, columns)
+    agrees, contradicts : ndarray of bool
     """
 
-    rows: Array
-    columns: Array
+    centres: tuple[Array, ...]
     here: Array
     offset: Array
     agrees: Mask
     contradicts: Mask
 
-    def parts(self) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    def parts(self) -> Iterator[tuple[NDArray[np.intp], ...]]:
         """Yield the index of the windows with data in each part of the image."""
         known = np.isfinite(self.here)
-        for rows in np.array_split(np.arange(len(self.rows)), PARTS):
-            for columns in np.array_split(np.arange(len(self.columns)), PARTS):
-                i, j = np.nonzero(known[np.ix_(rows, columns)])
-                if len(i) >= FEW:
-                    yield rows[i], columns[j]
+        for part in product(*(np.array_split(np.arange(n), PARTS) for n in known.shape)):
+            index = np.nonzero(known[np.ix_(*part)])
+            if len(index[0]) >= FEW:
+                yield tuple(k[i] for k, i in zip(part, index, strict=True))
 
     def least(self) -> float:
         """Least share of agreeing windows in a part of the image."""
@@ -138,15 +142,22 @@ class Windows:
             agrees = self.agrees[part]
             if agrees.sum() >= FEW:
                 offset = np.median([c[part][agrees] for c in self.offset], axis=1)
-                largest = max(largest, float(np.hypot(*offset)))
+                largest = max(largest, float(length(offset)))
         return largest
 
     def on_pixels(self, shape: tuple[int, ...]) -> Array:
         """Return the correlation at each pixel, zero where windows do not agree."""
         values = np.where(self.agrees, np.clip(self.here, 0, 1), 0.0)
-        for axis, (n, centres) in enumerate(zip(shape, (self.rows, self.columns), strict=True)):
+        values = values.astype(precision(len(shape)), copy=False)
+        for axis, (n, centres) in enumerate(zip(shape, self.centres, strict=True)):
             at = np.clip(np.arange(n), centres[0], centres[-1])
-            values = np.apply_along_axis(lambda v: np.interp(at, centres, v), axis, values)  # noqa: B023
+            k = np.clip(np.searchsorted(centres, at, "right") - 1, 0, max(len(centres) - 2, 0))
+            after = np.minimum(k + 1, len(centres) - 1)
+            gaps = np.maximum(centres[after] - centres[k], TINY)
+            along = [-1 if c == axis else 1 for c in range(len(shape))]
+            first = values.take(k, axis)
+            slope = (values.take(after, axis) - first) / gaps.reshape(along).astype(values.dtype)
+            values = slope * (at - centres[k]).reshape(along).astype(values.dtype) + first
         return values
 
 
@@ -155,59 +166,84 @@ def correlate(I1: Array, I2: Array, used: Mask, side: int | None = None) -> Wind
 
     Parameters
     ----------
-    I1, I2 : ndarray, shape (height, width)
-    used : ndarray of bool, shape (height, width)
+    I1, I2 : ndarray, shape (height, width) or (depth, height, width)
+    used : ndarray of bool, of that shape
         Pixels that carry data in both.
     side : int, optional
         Of the windows, px; by default what leaves some across the image.
     """
+    ndim = I1.ndim
     if side is None:
-        side = int(np.clip(min(I1.shape) // ACROSS, *SIDES)) // 4 * 4
+        side = int(np.clip(min(I1.shape) // ACROSS, *SIDES[ndim])) // 4 * 4
     side = min(side, *I1.shape)
-    rows, columns = (_starts(n, side) for n in I1.shape)
+    *others, columns = starts = [_starts(n, side, OVERLAP[ndim]) for n in I1.shape]
+    sides, axes = (side,) * ndim, tuple(range(1, ndim + 1))
     hann = np.hanning(side + 2)[1:-1]
-    window: Array = np.outer(hann, hann)
+    window: Array = reduce(np.multiply.outer, [hann] * ndim)
     least = [CONTRAST * np.std(I[used]) if used.any() else 0.0 for I in (I1, I2)]
     reach = side // 4
     offsets = np.arange(-reach, reach + 1)
     # Windows that are shifted overlap less, which would lower peaks that stand off the middle.
     overlap = np.correlate(hann, hann, "full")[side - 1 + offsets] / (hann @ hann)
-    near = np.hypot(*np.meshgrid(offsets, offsets)) <= NEAR
-    here, elsewhere, spread = (np.full((len(rows), len(columns)), np.nan) for _ in range(3))
-    offset = np.full((2, len(rows), len(columns)), np.nan)
-    for i, r in enumerate(rows):
+    overlaps = reduce(np.multiply.outer, [overlap] * ndim)
+    near = length(np.meshgrid(*[offsets] * ndim)) <= NEAR
+    shape = tuple(map(len, starts))
+    here, elsewhere, spread = (np.full(shape, np.nan) for _ in range(3))
+    offset = np.full((ndim, *shape), np.nan)
+    for k in np.ndindex(shape[:-1]):
+        band = tuple(slice(s[i], s[i] + side) for s, i in zip(others, k, strict=True))
         bands = [
-            np.stack([f[r : r + side, c : c + side] for c in columns]).astype(np.float64)
+            np.stack([f[*band, c : c + side] for c in columns]).astype(np.float64)
             for f in (I1, I2, used)
         ]
         weight = window * bands[2]
-        seen = weight.sum(axis=(1, 2)) >= SEEN * window.sum()
+        seen = weight.sum(axis=axes) >= SEEN * window.sum()
         a, size1 = _standardised(bands[0], weight)
         b, size2 = _standardised(bands[1], weight)
         seen &= (size1 > least[0]) | (size2 > least[1])
         if not seen.any():
             continue
-        a, b = a[seen], b[seen]
-        plane = fft.irfft2(np.conj(fft.rfft2(a)) * fft.rfft2(b), s=(side, side))
-        plane = plane[:, offsets[:, None], offsets] / np.outer(overlap, overlap)
-        here[i, seen] = plane[:, near].max(axis=1)
-        elsewhere[i, seen] = plane[:, ~near].max(axis=1)
-        offset[:, i, seen] = _peaks(plane)
-        spread[i, seen] = np.median(np.abs(plane[:, ~near]), axis=1) / 0.6745
+        both = np.conj(fft.rfftn(a[seen], sides, axes)) * fft.rfftn(b[seen], sides, axes)
+        plane = fft.irfftn(both, sides, axes)[:, *np.ix_(*[offsets] * ndim)] / overlaps
+        here[*k, seen] = plane[:, near].max(axis=1)
+        elsewhere[*k, seen] = plane[:, ~near].max(axis=1)
+        offset[:, *k, seen] = _peaks(plane)
+        spread[*k, seen] = np.median(np.abs(plane[:, ~near]), axis=1) / 0.6745
     clear = CLEAR * np.maximum(spread, TINY)
     with np.errstate(invalid="ignore"):
         agrees = here > elsewhere
         contradicts = (elsewhere > here + HIGHER) & (elsewhere > clear)
     middle = (side - 1) / 2
-    return Windows(rows + middle, columns + middle, here, offset, agrees, contradicts)
+    centres = tuple(s + middle for s in starts)
+    return Windows(centres, here, offset, agrees, contradicts)
+
+
+def length(v: Sequence[Array] | Array) -> Array:
+    """Length of the vectors of a field."""
+    return reduce(np.hypot, v)
 
 
 def folds(u: Array) -> float:
     """Share of the pixels where ``det(I + grad u) <= 0``, for ``u`` in px."""
-    n = len(u)
-    gradient = np.stack([np.stack(np.gradient(c)[::-1]) for c in u])
-    gradient += componentwise(np.eye(n).ravel(), n).reshape(n, n, *[1] * n)
-    return float(np.mean(np.linalg.det(np.moveaxis(gradient, (0, 1), (-2, -1))) <= 0))
+    count, n = 0, u.shape[1]
+    for start in range(0, n, SLAB):
+        first, last = max(start - 1, 0), min(start + SLAB + 1, n)
+        gradient = [list(np.gradient(c[first:last])[::-1]) for c in u]
+        for c, row in enumerate(gradient):
+            row[c] += 1
+        inner = slice(start - first, min(start + SLAB, n) - first)
+        count += int(np.count_nonzero(_determinant(gradient)[inner] <= 0))
+    return count / math.prod(u.shape[1:])
+
+
+def _determinant(J: list[list[Array]]) -> Array:
+    """Determinants of a matrix of arrays, along its first row."""
+    if len(J) == 1:
+        return J[0][0]
+    minors = ([row[:j] + row[j + 1 :] for row in J[1:]] for j in range(len(J)))
+    signs = (1 if j % 2 == 0 else -1 for j in range(len(J)))
+    terms = [s * a * _determinant(m) for s, a, m in zip(signs, J[0], minors, strict=True)]
+    return reduce(np.add, terms)
 
 
 def judge(I1: Array, warped: Array, used: Mask, u: Array, edges: Collection[Edge] = ()) -> Trust:
@@ -215,11 +251,11 @@ def judge(I1: Array, warped: Array, used: Mask, u: Array, edges: Collection[Edge
 
     Parameters
     ----------
-    I1, warped : ndarray, shape (height, width)
+    I1, warped : ndarray, shape (height, width) or (depth, height, width)
         The image before compression, and the one after it at ``x + u(x)``.
-    used : ndarray of bool, shape (height, width)
+    used : ndarray of bool, of that shape
         Pixels that carry data: neither dead nor moved out of the image.
-    u : ndarray, shape (2, height, width)
+    u : ndarray, shape (2, ...) or (3, ...)
         In px.
     edges : collection of str
         Those whose motion was stated.
@@ -298,43 +334,44 @@ def _contradicted(windows: Windows, edges: Collection[Edge]) -> list[str]:
     """Edges whose stated motion the windows beside them contradict."""
     doubts = []
     for edge in edges:
-        beside = FACES[edge].pixels()
+        beside = FACES[edge].pixels(windows.here.ndim)
         told = np.isfinite(windows.here[beside])
-        off = ~windows.agrees[beside] | (np.hypot(*windows.offset[:, *beside]) > 2 * DRIFTED)
+        off = ~windows.agrees[beside] | (length(windows.offset[:, *beside]) > 2 * DRIFTED)
         if told.any() and off[told].mean() > 0.5:
             doubts.append(f"{edge}: the images contradict the motion that was stated; check it")
     return doubts
 
 
 def _peaks(plane: Array) -> Array:
-    """Offsets of the highest peaks near the middle of planes, shape (2, n), px.
+    """Offsets of the highest peaks near the middle of planes, shape (ndim, n), px.
 
     A parabola through the logarithm of a Gaussian peak finds its top; here the peak is that of a
     correlation, and one through its values does.
     """
-    m = plane.shape[1] // 2
-    part = plane[:, m - 1 : m + 2, m - 1 : m + 2]
-    k = part.reshape(len(part), 9).argmax(axis=1)
-    rows, columns = m - 1 + k // 3, m - 1 + k % 3
-    n = np.arange(len(plane))
+    m, ndim, n = plane.shape[1] // 2, plane.ndim - 1, np.arange(len(plane))
+    part = plane[:, *[slice(m - 1, m + 2)] * ndim]
+    k = part.reshape(len(part), -1).argmax(axis=1)
+    top = [m - 1 + i for i in np.unravel_index(k, part.shape[1:])]
     tops = []
-    for di, dj, start in ((0, 1, columns), (1, 0, rows)):
-        low, middle, high = (plane[n, rows + s * di, columns + s * dj] for s in (-1, 0, 1))
+    for axis in reversed(range(ndim)):
+        steps = ([i + s * (a == axis) for a, i in enumerate(top)] for s in (-1, 0, 1))
+        low, middle, high = (plane[n, *at] for at in steps)
         curvature = np.minimum(low - 2 * middle + high, -TINY)
-        tops.append(start - m + np.clip(0.5 * (low - high) / curvature, -0.5, 0.5))
+        tops.append(top[axis] - m + np.clip(0.5 * (low - high) / curvature, -0.5, 0.5))
     return np.stack(tops)
 
 
-def _starts(n: int, side: int) -> NDArray[np.intp]:
-    """First pixels of windows that overlap by half or more and reach from end to end."""
-    count = max(1, -(-2 * (n - side) // side) + 1)
+def _starts(n: int, side: int, overlap: int) -> NDArray[np.intp]:
+    """First pixels of windows from end to end, ``overlap`` of them or more on each pixel."""
+    count = max(1, -(-overlap * (n - side) // side) + 1)
     return np.linspace(0, n - side, count).round().astype(np.intp)
 
 
 def _standardised(f: Array, weight: Array) -> tuple[Array, Array]:
     """Windows less their weighted means, times the weights, of norm 1; and their contrasts."""
-    total = np.maximum(weight.sum(axis=(1, 2), keepdims=True), TINY)
-    f = weight * (f - (weight * f).sum(axis=(1, 2), keepdims=True) / total)
-    size = np.sqrt((f * f).sum(axis=(1, 2), keepdims=True))
-    contrast = size / np.sqrt(np.maximum((weight**2).sum(axis=(1, 2), keepdims=True), TINY))
-    return f / np.maximum(size, TINY), contrast[:, 0, 0]
+    axes = tuple(range(1, f.ndim))
+    total = np.maximum(weight.sum(axis=axes, keepdims=True), TINY)
+    f = weight * (f - (weight * f).sum(axis=axes, keepdims=True) / total)
+    size = np.sqrt((f * f).sum(axis=axes, keepdims=True))
+    contrast = size / np.sqrt(np.maximum((weight**2).sum(axis=axes, keepdims=True), TINY))
+    return f / np.maximum(size, TINY), contrast.ravel()

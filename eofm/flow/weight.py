@@ -6,12 +6,14 @@ truth, and works for few bubbles on black, where most residuals come from the mo
 for dense speckle, where they are noise.
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from eofm.flow.functional import Pointwise, Quadratic
+from eofm.flow.functional import Pointwise, Quadratic, unit
 from eofm.flow.matching import BLOCK, Match, held_out
 from eofm.flow.multigrid import multigrid
 from eofm.grid import Array, Grid, Mask
@@ -27,8 +29,8 @@ BLOCKS = 20
 # Pixels around a held-out block that are not used either: the noise of images that were
 # filtered is correlated, and would be fitted on both sides of the border.
 MARGIN = 2
-# Side of the windows that stand for a large image, px.
-WINDOW = 192
+# Side of the windows that stand for a large image, or a volume, and for one larger than what, px.
+WINDOW = {2: (192, 384), 3: (64, 96)}
 # Change of v by the last iteration of a trial solve, px.
 ACCURACY = 1e-2
 # Part of the image's mean data term that is added to all: a window may be black.
@@ -40,7 +42,7 @@ def first_alpha(match: Match) -> float:
 
     It holds a structure of the ``REACH`` as firmly as the mean gradient of the images does.
     """
-    reach = REACH * float(np.sqrt(np.prod(match.grid.spacing)))
+    reach = REACH * match.grid.side
     return (match.strength + np.finfo(float).tiny) * reach**4
 
 
@@ -56,7 +58,7 @@ def combined(chosen: Sequence[float]) -> float | None:
 
 def enough(shape: tuple[int, ...]) -> bool:
     """Whether an image has blocks enough to choose a weight."""
-    return shape[0] * shape[1] >= BLOCKS * BLOCK**2
+    return math.prod(shape) >= BLOCKS * BLOCK ** len(shape)
 
 
 def choose_alpha(
@@ -76,9 +78,9 @@ def choose_alpha(
     Parameters
     ----------
     match : Match
-    about, prescribed : ndarray, shape (2, height, width)
+    about, prescribed : ndarray, shape (ndim, ...)
         The displacement is ``about + v``, with ``v`` that of ``prescribed`` where not free.
-    free : ndarray of bool, shape (height, width)
+    free : ndarray of bool
     start : float
         First weight tried.
     """
@@ -122,7 +124,7 @@ class _Trial:
         out = held_out(match.grid.shape, fold)
         self.out = out & match.used
         terms = match.density(about, ~around(out, MARGIN))
-        self.terms = Pointwise(terms.A + ridge * np.reshape([1, 0, 1], (3, 1, 1)), terms.b)
+        self.terms = Pointwise(terms.A + ridge * unit(terms.b), terms.b)
         self.prescribed, self.v = prescribed, np.zeros_like(about)
 
     def misfit(self, alpha: float) -> float:
@@ -135,30 +137,30 @@ class _Trial:
 
 def around(mask: Mask, margin: int) -> Mask:
     """Pixels of a mask and those no farther than a margin along each axis."""
-    sides = (2 * margin + 1,) * mask.ndim
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(mask, margin), sides)
-    return np.any(windows, axis=tuple(range(mask.ndim, 2 * mask.ndim)))
+    near = mask
+    for axis in range(mask.ndim):
+        sides = [(margin, margin) if k == axis else (0, 0) for k in range(mask.ndim)]
+        near = np.any(sliding_window_view(np.pad(near, sides), 2 * margin + 1, axis), axis=-1)
+    return near
 
 
-def _windows(shape: tuple[int, int]) -> list[tuple[slice, slice]]:
+def _windows(shape: tuple[int, ...]) -> list[tuple[slice, ...]]:
     """The image or, where it is large, windows in the middles of opposite quarters or halves."""
+    width, large = WINDOW[len(shape)]
 
     def cuts(n: int) -> list[slice]:
-        if n <= 2 * WINDOW:
+        if n <= large:
             return [slice(0, n)]
-        return [slice(c - WINDOW // 2, c + WINDOW // 2) for c in (n // 4, 3 * n // 4)]
+        starts = (int(np.clip(c - width // 2, 0, n - width)) for c in (n // 4, 3 * n // 4))
+        return [slice(start, start + width) for start in starts]
 
-    rows, columns = cuts(shape[0]), cuts(shape[1])
-    count = max(len(rows), len(columns))
-    return [(rows[k % len(rows)], columns[k % len(columns)]) for k in range(count)]
+    sides = [cuts(n) for n in shape]
+    count = max(map(len, sides))
+    return [tuple(side[k % len(side)] for side in sides) for k in range(count)]
 
 
-def _cut(match: Match, window: tuple[slice, slice]) -> Match:
-    rows, columns = window
-    grid = Grid(
-        (rows.stop - rows.start, columns.stop - columns.start),
-        match.grid.spacing,
-    )
+def _cut(match: Match, window: tuple[slice, ...]) -> Match:
+    grid = Grid(tuple(s.stop - s.start for s in window), match.grid.spacing)
     return Match(
         grid, match.u[:, *window], match.g[:, *window], match.r[window], match.used[window]
     )

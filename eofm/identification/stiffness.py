@@ -25,7 +25,7 @@ from eofm.errors import InputError
 from eofm.flow.estimate import Estimate, estimate_displacement
 from eofm.flow.functional import Pointwise
 from eofm.flow.known import Known
-from eofm.grid import FACES, Array, Edge, Mask, componentwise, unit_spacing
+from eofm.grid import FACES, Array, Edge, Mask, componentwise, faces, unit_spacing
 from eofm.identification.choice import NONE, Choice, choose, clearly_better
 from eofm.identification.folds import Folds
 from eofm.identification.inversion import LARGEST, Inversion, Report, gauss_newton
@@ -176,7 +176,7 @@ def identify_stiffness(
 
     stated = dict(known.edges) or (press(sample) if not known.outside else {})
     if known.outside or not move_differently(stated):
-        loose: tuple[Edge, ...] = known.outside or tuple(FACES)
+        loose: tuple[Edge, ...] = known.outside or tuple(faces(2))
         loose = tuple(edge for edge in loose if edge not in known.edges)
         scale, u_bg = 1.0, known.background
         u_bg = np.zeros((2, *I1.shape)) if u_bg is None else u_bg
@@ -189,7 +189,7 @@ def identify_stiffness(
         # A contact that slips leaves the motion along the edge open.
         known = replace(known, edges={} if sample.contact == "slip" else motion)
         estimate = estimate_displacement(I1, I2, estimation, replace(known, background=u_bg))
-    setup = Setup(sample, motion, loose, u_bg, known.pixel_size, settings)
+    setup = Setup(sample, motion, loose, u_bg, known.sides(2), settings)
     choice, refused = setup.choose(estimate, report)
     found: Stiffness | None = None
     for rounds in range(1, settings.rounds + 1):
@@ -231,7 +231,7 @@ class Setup:
     motion: dict[Edge, Array]
     loose: tuple[Edge, ...]
     u_bg: Array
-    pixel_size: tuple[float, float]
+    pixel_size: tuple[float, ...]
     settings: Identification
 
     @cached_property
@@ -329,7 +329,7 @@ def _moved(
     motion: dict[Edge, Array],
 ) -> tuple[float, dict[Edge, Array], Array]:
     """Factor of the edges' motion, that motion, and the homogeneous background."""
-    u_bg = deform(sample, motion, pixel_size=known.pixel_size, slip=sample.contact == "slip")
+    u_bg = deform(sample, motion, pixel_size=known.sides(2), slip=sample.contact == "slip")
     blind = estimation.changed(zero_edges=())
     free = estimate_displacement(I1, I2, blind, replace(known, background=u_bg, edges={}))
     scale = _scale(free, u_bg, motion, settings)

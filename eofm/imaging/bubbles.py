@@ -7,6 +7,9 @@ and each motion is refined by registering the image in a window around the bubbl
 that bubbles which overlap or change shape are followed by what moves, not by their outline.
 """
 
+from collections.abc import Callable
+from functools import reduce
+
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
@@ -43,15 +46,15 @@ def track(
     *,
     prediction: Array | None = None,
 ) -> pd.DataFrame:
-    """Motion of the bubbles between two images.
+    """Motion of the bubbles between two images or volumes.
 
     Parameters
     ----------
-    I1, I2 : ndarray, shape (height, width)
-        Images before and after compression.
+    I1, I2 : ndarray, shape (height, width) or (depth, height, width)
+        Images or volumes before and after compression.
     settings : Tracking
         What is a bubble, and what is a match.
-    prediction : ndarray, shape (2, height, width), optional
+    prediction : ndarray, shape (ndim, ...), optional
         A displacement that is about right, px, such as the background field; without
         it bubbles are sought where they were.
 
@@ -59,8 +62,10 @@ def track(
     -------
     DataFrame
         One row per bubble: ``x1``, ``x2`` (centre of mass before compression) and ``u1``,
-        ``u2`` (displacement), px; ``area``, px^2; ``brightness``, peak above the threshold
-        with both images in [0, 1]; ``quality``, correlation of the two windows, at most 1.
+        ``u2`` (displacement), px, with ``x3`` and ``u3`` in a volume; ``area``, px^2, see
+        :func:`detect`; ``brightness``, peak above the threshold with both images in [0, 1];
+        ``quality``, correlation of the two windows, at most 1. Its ``attrs["found"]`` is the
+        number of bubbles in the first image.
 
     Raises
     ------
@@ -79,20 +84,21 @@ def track(
     """
     I1, I2 = normalise(I1, I2)
     settings.check_widths(I1.shape)
+    kind = "image" if I1.ndim == 2 else "volume"
     before, after = detect(I1, settings), detect(I2, settings)
     for name, bubbles in (("before", before), ("after", after)):
         if bubbles.empty:
             raise InputError(
-                f"no bubble found in the image {name} compression; lower the threshold"
+                f"no bubble found in the {kind} {name} compression; lower the threshold"
                 f" ({settings.threshold:g}) or the least area ({settings.min_area} px^2)"
             )
-    x, y = (bubbles[["x1", "x2"]].to_numpy().T for bubbles in (before, after))
+    x, y = _places(before), _places(after)
     expected = np.zeros_like(x) if prediction is None else evaluate_field(prediction, x)
     i, j = assign(before, after, expected, settings.gate)
     x, expected = x[:, i], expected[:, i]
     motion, quality = register(I1, I2, x, y[:, j] - x, settings.window)
     good = (quality >= settings.quality) & (
-        np.hypot(*(motion - expected)) <= settings.gate + settings.window
+        reduce(np.hypot, motion - expected) <= settings.gate + settings.window
     )
     good[good] = agree(x[:, good], (motion - expected)[:, good], settings)
     if not good.any():
@@ -101,33 +107,46 @@ def track(
             f" ({settings.gate:g} px), lower the quality ({settings.quality:g}), or give a"
             " field that predicts the motion"
         )
-    table = before.iloc[i].assign(u1=motion[0], u2=motion[1], quality=quality)[good]
-    return table[["x1", "x2", "u1", "u2", "area", "brightness", "quality"]].reset_index(drop=True)
+    moved = {f"u{k}": c for k, c in enumerate(motion, 1)}
+    table = before.iloc[i].assign(**moved, quality=quality)[good]
+    names = [f"x{k}" for k in range(1, I1.ndim + 1)] + [*moved]
+    table = table[[*names, "area", "brightness", "quality"]].reset_index(drop=True)
+    table.attrs["found"] = len(before)
+    return table
+
+
+def _places(bubbles: pd.DataFrame) -> Array:
+    """Their centres, shape (ndim, M)."""
+    return bubbles.filter(regex="^x[1-3]$").sort_index(axis=1).to_numpy().T
 
 
 def detect(I: Array, settings: Tracking = Tracking()) -> pd.DataFrame:
-    """Bubbles of an image: columns x1, x2 (centre of mass), area and brightness.
+    """Bubbles of an image or a volume: columns x1, x2, ... (centre of mass), area and brightness.
 
     The threshold is a part of the range from the 0.5th to the 99.5th percentile.
-    Bubbles that are cut by the image's edge count like any other.
+    Bubbles that are cut by the edge count like any other. Their area in a volume, px^2, is that
+    of a cut through the middle of a ball as large.
     """
     smooth = blur(I, settings.smoothing)
     low, high = np.percentile(smooth, [0.5, 99.5])
     level = low + settings.threshold * (high - low)
     # Plateaus, as of saturated bubbles, count as one peak each.
-    peaks, _ = ndimage.label(local_maxima(smooth) & (smooth > level), np.ones((3, 3)))
-    regions = watershed(-smooth, peaks, mask=smooth > level)
+    bright = smooth > level
+    peaks, _ = ndimage.label(local_maxima(smooth) & bright, np.ones([3] * I.ndim))
+    regions = watershed(-smooth, peaks, mask=bright)
     seen = regions > 0
     label, height = regions[seen] - 1, (smooth - level)[seen]
-    area, total = np.bincount(label).astype(float), np.bincount(label, height)
+    size, total = np.bincount(label).astype(float), np.bincount(label, height)
+    area = size if I.ndim == 2 else np.pi * (0.75 / np.pi * size) ** (2 / 3)
     # A bubble of one row or column at the border must not be rounded out of the image.
-    x2, x1 = (
+    x = [
         np.minimum(np.bincount(label, height * x) / total, n - 1)
         for x, n in zip(np.nonzero(seen), I.shape, strict=True)
-    )
+    ]
     brightness = np.zeros(len(area))
     np.maximum.at(brightness, label, height)
-    table = pd.DataFrame({"x2": x2, "x1": x1, "area": area, "brightness": brightness})
+    places = {f"x{I.ndim - axis}": c for axis, c in enumerate(x)}
+    table = pd.DataFrame(places | {"area": area, "brightness": brightness})
     kept = table.area.between(settings.min_area, settings.max_area)
     return table[kept].reset_index(drop=True)
 
@@ -137,14 +156,14 @@ def assign(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """One-to-one matches of least total cost: rows of ``before`` and of ``after``.
 
-    A match costs the squared distance from the ``expected`` displacement, shape (2, M),
+    A match costs the squared distance from the ``expected`` displacement, shape (ndim, M),
     in units of the gate, plus the logarithmic differences in brightness and area; a
     bubble may stay without one (linear assignment, each bubble having a partner of its
     own that stands for none).
     """
-    target = before[["x1", "x2"]].to_numpy() + expected.T
-    near = KDTree(target).sparse_distance_matrix(
-        KDTree(after[["x1", "x2"]].to_numpy()), gate, output_type="coo_matrix"
+    target = _places(before) + expected
+    near = KDTree(target.T).sparse_distance_matrix(
+        KDTree(_places(after).T), gate, output_type="coo_matrix"
     )
     i, j = near.row, near.col
     change = [
@@ -180,39 +199,49 @@ def register(
     """Motion of Gaussian windows by Gauss-Newton, and how well they correlate.
 
     Minimises ``int w(y - x) |I2(y + d) - I1(y)|^2 dy`` over ``d`` for each bubble at x, with
-    w of standard deviation ``window`` px, started from ``motion`` of shape (2, M).
+    w of standard deviation ``window`` px, started from ``motion`` of shape (ndim, M).
 
     Returns
     -------
-    motion : ndarray, shape (2, M)
+    motion : ndarray, shape (ndim, M)
         In px.
     quality : ndarray, shape (M,)
         Weighted correlation coefficient of the two windows.
     """
-    reach = int(np.ceil(3 * window))
-    offsets = np.mgrid[-reach : reach + 1, -reach : reach + 1][::-1].reshape(2, 1, -1)
+    ndim, reach = I1.ndim, int(np.ceil(3 * window))
+    offsets = np.mgrid[(slice(-reach, reach + 1),) * ndim][::-1].reshape(ndim, 1, -1)
     at_once = max(1, SAMPLES // offsets[0].size)
-    splines = [Spline(I) for I in (I1, I2, *gradient(I2))]
+    before, after = Spline(I1), _with_gradient(I2)
     motion, quality = motion.copy(), np.empty(x.shape[1])
     for start in range(0, x.shape[1], at_once):
         some = np.s_[start : start + at_once]
         y = x[:, some, None] + offsets
         weight = np.exp(-(offsets**2).sum(0) / (2 * window**2)) * inside(I1.shape, y)
-        reference = splines[0].evaluate(y)
+        reference = before.evaluate(y)
         for _ in range(iterations):
             moved = y + motion[:, some, None]
             w = weight * inside(I2.shape, moved)
-            difference = splines[1].evaluate(moved) - reference
-            g = np.stack([c.evaluate(moved) for c in splines[2:]])
+            values, g = after(moved)
+            difference = values - reference
             A = np.einsum("ikp,jkp,kp->kij", g, g, w)
             # Windows with one direction of contrast only stay where they are in the other.
-            A += (1e-3 * np.trace(A, axis1=1, axis2=2) + 1e-12)[:, None, None] * np.eye(2)
+            A += (1e-3 * np.trace(A, axis1=1, axis2=2) + 1e-12)[:, None, None] * np.eye(ndim)
             step = -np.linalg.solve(A, np.einsum("ikp,kp->ki", g, w * difference)[..., None])
             motion[:, some] += np.clip(step[..., 0].T, -0.5, 0.5)
         moved = y + motion[:, some, None]
         w = weight * inside(I2.shape, moved)
-        quality[some] = _correlation(reference, splines[1].evaluate(moved), w)
+        quality[some] = _correlation(reference, after(moved)[0], w)
     return motion, quality
+
+
+def _with_gradient(I: Array) -> Callable[[Array], tuple[Array, Array]]:
+    """What evaluates an image or a volume and its gradient at points."""
+    spline = Spline(I)
+    if I.ndim == 3:
+        return spline.evaluate_with_gradient
+    # The spline through the gradient is smoother than that of the spline, but takes room.
+    slopes = [Spline(c) for c in gradient(I)]
+    return lambda x: (spline.evaluate(x), np.stack([c.evaluate(x) for c in slopes]))
 
 
 def agree(x: Array, motion: Array, settings: Tracking) -> NDArray[np.bool_]:

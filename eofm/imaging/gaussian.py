@@ -5,27 +5,26 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eofm.grid import Array
-from eofm.imaging import kernels
+from eofm.grid import Array, precision
+from eofm.imaging.sums import Bumps, Terms, add_gaussians, resample
 
 
-def blur(I: Array, width: float | tuple[float, float]) -> Array:
-    """Gaussian average of an image that goes on as in a mirror.
+def blur(I: Array, width: ArrayLike) -> Array:
+    """Gaussian average of an image or a volume that goes on as in a mirror.
 
     Parameters
     ----------
-    I : ndarray, shape (height, width)
-    width : float or (lateral, axial)
+    I : ndarray, shape (height, width) or (depth, height, width)
+    width : float or (lateral, axial, ...)
         Standard deviation, samples.
     """
     terms = []
-    for n, std in zip(I.shape, np.broadcast_to(width, 2)[::-1], strict=True):
+    for n, std in zip(I.shape, np.broadcast_to(width, I.ndim)[::-1], strict=True):
         offsets, gauss = taps(std)
         at, _ = mirrored(np.arange(n)[:, None] + offsets, n)
-        terms.append(kernels.Terms(at, np.tile(gauss, (n, 1))))
-    axial, lateral = terms
-    J = np.empty(I.shape)
-    kernels.resample(J, np.require(I, np.float64, ["C", "W"]), lateral, axial)
+        terms.append(Terms(at, np.tile(gauss, (n, 1))))
+    J = np.empty(I.shape, precision(I.ndim))
+    resample(J, np.require(I, J.dtype, ["C", "W"]), terms)
     return J
 
 
@@ -34,9 +33,9 @@ def gaussians(axes: Sequence[Array], centres: Array, sigma: ArrayLike, weights: 
 
     Parameters
     ----------
-    axes : sequence of ndarray, shape (width,) and (height,)
-        Ascending lateral and axial positions of the samples.
-    centres : ndarray, shape (2, M)
+    axes : sequence of ndarray, shape (width,), (height,), ...
+        Ascending lateral, axial, ... positions of the samples.
+    centres : ndarray, shape (ndim, M)
     sigma : float or ndarray, shape (M,)
         Standard deviations.
     weights : ndarray, shape (k, M)
@@ -44,19 +43,20 @@ def gaussians(axes: Sequence[Array], centres: Array, sigma: ArrayLike, weights: 
 
     Returns
     -------
-    ndarray, shape (k, height, width)
+    ndarray, shape (k, height, width) or (k, depth, height, width)
     """
-    total = np.zeros((len(weights), *(len(x) for x in axes[::-1])))
+    total = np.zeros((len(weights), *(len(x) for x in axes[::-1])), precision(len(axes)))
     sigma = np.array(np.broadcast_to(sigma, centres.shape[1:]), dtype=np.float64)
-    columns, rows = (
-        np.searchsorted(x, [c - 6 * sigma, c + 6 * sigma])
-        for x, c in zip(axes, centres, strict=True)
+    spans = np.stack(
+        [
+            np.searchsorted(x, [c - 6 * sigma, c + 6 * sigma])
+            for x, c in zip(axes, centres, strict=True)
+        ]
     )
-    x1, x2, centres, weights = (
+    *axes, centres, weights = (
         np.require(a, np.float64, ["C", "W"]) for a in (*axes, centres, weights)
     )
-    bumps = kernels.Bumps(centres, sigma, columns, rows)
-    kernels.add_gaussians(total, (x1, x2), bumps, weights)
+    add_gaussians(total, tuple(axes), Bumps(centres, sigma, spans), weights)
     return total
 
 

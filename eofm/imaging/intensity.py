@@ -1,11 +1,13 @@
 """One grey scale for two images, and pixels that show no sample."""
 
+from functools import reduce
+
 import numpy as np
 
 from eofm.errors import InputError
-from eofm.grid import Array, Mask
-from eofm.imaging import kernels
+from eofm.grid import Array, Mask, precision
 from eofm.imaging.gaussian import blur
+from eofm.imaging.sums import Terms, add_squares, resample
 from eofm.settings import LARGEST, LEAST
 
 # A highlight is so many times as high above the median as three in four local maxima are, which
@@ -15,65 +17,88 @@ HIGHLIGHT, PEAK, MARGIN = 4.0, 5, 2
 RARE = 0.05
 # Length of a line of saturated pixels that no structure makes, px.
 LINE = 32
+# Numbers whose sums are taken at once.
+CHUNK = 2**19
 
 
 def normalise(
     I1: Array, I2: Array, limits: tuple[float, float] | None = None
 ) -> tuple[Array, Array]:
-    """Map two images to [0, 1] by one affine map, so that brightness stays comparable.
+    """Map two images or volumes to [0, 1] by one affine map, so that brightness stays comparable.
 
     Parameters
     ----------
-    I1, I2 : ndarray, shape (height, width)
-        Images before and after compression.
+    I1, I2 : ndarray, shape (height, width) or (depth, height, width)
+        Before and after compression.
     limits : (low, high), optional
-        Intensities that become 0 and 1; by default the extremes of both images.
+        Intensities that become 0 and 1; by default the extremes of both.
 
     Raises
     ------
     InputError
-        If these are not two finite greyscale images of one size, or one is constant.
+        If these are not two finite greyscale images or volumes of one size, or one is constant.
     """
-    if np.iscomplexobj(I1) or np.iscomplexobj(I2):
-        raise InputError("an image holds complex values; give their amplitude, abs(I)")
-    # Integers would wrap around in the differences below.
-    I1, I2 = np.asarray(I1, dtype=np.float64), np.asarray(I2, dtype=np.float64)
-    if I1.ndim != 2 or I1.shape != I2.shape:
-        raise InputError(
-            f"wanted two greyscale images of one size, got shapes {I1.shape} and {I2.shape}"
-        )
-    if not (np.isfinite(I1).all() and np.isfinite(I2).all()):
-        raise InputError("an image has NaN or infinite values; replace or crop them")
-    for name, I in (("before", I1), ("after", I2)):
-        if I.min() == I.max():
+    I1, I2 = (_real(I) for I in (I1, I2))
+    if I1.ndim not in (2, 3) or I1.shape != I2.shape:
+        kinds = {2: "greyscale images", 3: "volumes"}
+        wanted = kinds.get(I1.ndim if I1.ndim == I2.ndim else 0, "greyscale images or volumes")
+        raise InputError(f"wanted two {wanted} of one size, got shapes {I1.shape} and {I2.shape}")
+    what = "an image" if I1.ndim == 2 else "a volume"
+    extremes = [(float(I.min()), float(I.max())) for I in (I1, I2)]
+    if not np.isfinite(extremes).all():
+        raise InputError(f"{what} has NaN or infinite values; replace or crop them")
+    for name, (low, high) in zip(("before", "after"), extremes, strict=True):
+        if low == high:
             raise InputError(
-                f"the image {name} compression is constant ({I.min():g}): there is no motion"
-                " to see; check that the right file was given"
+                f"the {what.split()[1]} {name} compression is constant ({low:g}): there is no"
+                " motion to see; check that the right file was given"
             )
-    low, high = limits or (min(I1.min(), I2.min()), max(I1.max(), I2.max()))
+    low, high = limits or (min(extremes)[0], max(high for _, high in extremes))
     if not LEAST <= high / 2 - low / 2 <= LARGEST:
         raise InputError(f"intensities from {low:g} to {high:g} are lost in rounding; scale them")
-    return (I1 - low) / (high - low), (I2 - low) / (high - low)
+    return _scaled(I1, low, high), _scaled(I2, low, high)
 
 
-def normalise_locally(I: Array, window: tuple[float, float]) -> Array:
-    """Remove the local mean of an image and divide by its local contrast.
+def _real(I: Array) -> Array:
+    """Numbers that are ordered."""
+    if np.iscomplexobj(I):
+        raise InputError("an image holds complex values; give their amplitude, abs(I)")
+    I = np.asarray(I)
+    return I if I.dtype.kind in "iuf" else np.asarray(I, dtype=np.float64)
+
+
+def _scaled(I: Array, low: float, high: float) -> Array:
+    # Integers would wrap around in their own differences.
+    J = np.empty(I.shape, precision(I.ndim))
+    np.subtract(I, low, out=J, dtype=np.float64, casting="same_kind")
+    J /= high - low
+    return J
+
+
+def normalise_locally(I: Array, window: tuple[float, ...]) -> Array:
+    """Remove the local mean of an image or a volume and divide by its local contrast.
 
     For pairs whose brightness changes from place to place. Means are Gaussian averages of
-    standard deviations ``window`` = (lateral, axial), in samples. Three local standard
+    standard deviations ``window`` = (lateral, axial, ...), in samples. Three local standard
     deviations fill half of [0, 1], and contrast is not raised where there is a tenth of
-    the image's or less.
+    the whole's or less.
     """
-    deviation = I - blur(I, window)
-    contrast = np.sqrt(blur(deviation**2, window) + (0.1 * I.std()) ** 2)
-    return 0.5 + deviation / (6 * contrast)
+    deviation = blur(I, window)
+    np.subtract(I, deviation, out=deviation)
+    contrast = blur(deviation**2, window)
+    contrast += float((0.1 * I.std()) ** 2)
+    np.sqrt(contrast, out=contrast)
+    contrast *= 6
+    deviation /= contrast
+    deviation += 0.5
+    return deviation
 
 
 def defects(I: Array) -> Mask:
     """Pixels that show the detector instead of the sample: highlights and saturated lines.
 
     Saturated pixels as such are none: what is clipped where it is bright moves with the
-    sample. Neither is found where either would make up more than 5 % of the image.
+    sample. Neither is found where either would make up more than 5 % of the image or volume.
     """
     # Its import takes a tenth of a short estimate.
     from scipy import ndimage
@@ -82,51 +107,65 @@ def defects(I: Array) -> Mask:
     peaks = above[(ndimage.maximum_filter(I, PEAK) <= I) & (above > 0)]
     if not peaks.size:
         return np.zeros(I.shape, dtype=bool)
-    bright = above > HIGHLIGHT * np.quantile(peaks, 0.75)
-    top = above >= np.max(above, where=~bright, initial=0.0)
-    lines = [ndimage.binary_opening(top, np.ones(shape)) for shape in ((1, LINE), (LINE, 1))]
-    found = bright | lines[0] | lines[1]
+    found = above > HIGHLIGHT * np.quantile(peaks, 0.75)
+    top = (above >= np.max(above, where=~found, initial=0.0)).view(np.uint8)
+    for axis in range(I.ndim if np.count_nonzero(top) >= LINE else 0):
+        # A line is what a segment of LINE pixels can cover: of an opening, both steps.
+        starts = ndimage.minimum_filter1d(top, LINE, axis, mode="constant")
+        lines = ndimage.maximum_filter1d(starts, LINE, axis, mode="constant", origin=-1)
+        found |= lines.view(bool)
     if not 0 < found.mean() < RARE:
         return np.zeros_like(found)
     return ndimage.binary_dilation(found, iterations=MARGIN)
 
 
 def filled(I: Array, dead: Mask) -> Array:
-    """The image with each dead pixel as its nearest live one."""
+    """The image or volume with each dead pixel as its nearest live one."""
     if not dead.any() or dead.all():
         return I
     from scipy import ndimage
 
     nearest = ndimage.distance_transform_edt(dead, return_distances=False, return_indices=True)
-    return np.where(dead, I[tuple(nearest)], I)
+    J = I.copy()
+    J[dead] = I[tuple(k[dead] for k in nearest)]
+    return J
 
 
 class Window:
     """Gaussian averages over the pixels of a mask, of a ``width`` in samples.
 
-    They are smooth, so sums over squares of a third of the width stand for the pixels. At an
-    edge and beside dead zones the pixels that there are count.
+    They are smooth, so sums over squares, or cubes, of a third of the width stand for the pixels.
+    At an edge and beside dead zones the pixels that there are count.
     """
 
     def __init__(self, mask: Mask, width: float) -> None:
-        self.mask, self.side = mask.astype(np.float64), max(1, int(width // 3))
+        self.mask, self.side = mask.astype(bool, copy=False), max(1, int(width // 3))
         self.terms = [_terms(n, self.side, width) for n in mask.shape]
-        self.share = np.maximum(self._sum(self.mask), 1e-6)
+        self.share = self._sum(np.ones(()))
+        np.maximum(self.share, 1e-6, out=self.share)
 
-    def mean(self, f: Array) -> Array:
-        """The average around each pixel, shape (height, width)."""
-        return self._sum(f * self.mask) / self.share
+    def mean(self, f: Array, *factors: Array) -> Array:
+        """The average around each pixel of f, or of the product of several; of the mask's shape."""
+        mean = self._sum(f, *factors)
+        mean /= self.share
+        return mean
 
-    def _sum(self, f: Array) -> Array:
-        for axis, n in enumerate(f.shape):
-            f = np.add.reduceat(f, np.arange(0, n, self.side), axis=axis)
-        axial, lateral = self.terms
-        J = np.empty(self.mask.shape)
-        kernels.resample(J, np.require(f, np.float64, ["C", "W"]), lateral, axial)
+    def _sum(self, *factors: Array) -> Array:
+        shape, dtype = self.mask.shape, precision(self.mask.ndim)
+        sums = np.empty([-(-n // self.side) for n in shape], dtype)
+        # A few rows of squares at a time: products take no room.
+        step = max(1, CHUNK * len(sums) // self.mask.size)
+        for first in range(0, len(sums), step):
+            some = slice(first * self.side, (first + step) * self.side)
+            parts = (np.broadcast_to(f, shape)[some] for f in factors)
+            product = reduce(np.multiply, parts).astype(dtype, copy=False)
+            add_squares(sums[first : first + step], product, self.mask[some], self.side)
+        J = np.empty(shape, dtype)
+        resample(J, sums, self.terms)
         return J
 
 
-def _terms(n: int, side: int, width: float) -> kernels.Terms:
+def _terms(n: int, side: int, width: float) -> Terms:
     """Squares around each of n samples, and their weights."""
     count, reach = -(-n // side), int(np.ceil(4 * width / side))
     pixel = np.arange(n)[:, None]
@@ -134,4 +173,4 @@ def _terms(n: int, side: int, width: float) -> kernels.Terms:
     at = near.clip(0, count - 1)
     centre = (at * side + np.minimum(at * side + side, n) - 1) / 2
     w = np.where(at == near, np.exp(-0.5 * ((pixel - centre) / width) ** 2), 0.0)
-    return kernels.Terms(at, w)
+    return Terms(at, w)

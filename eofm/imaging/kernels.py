@@ -1,23 +1,20 @@
-"""Loops over pixels for :mod:`eofm.imaging.splines`, compiled and shared by rows or strips.
+"""Coefficients of splines and their slopes, compiled and shared by rows or slices.
 
-Coefficients of cubic splines have shape (n + 3, m + 3) for an image of n rows and m columns:
-those of pixel (i, j) stand at (i + 1, j + 1), framed by one row and column before and two
-after that continue them, here as in a mirror. So the spline's value anywhere in the image is a sum
-over 4 x 4 coefficients, without questions at the edges.
+Coefficients of cubic splines have 3 entries more than the image or volume along every axis: those
+of pixel (i, j) stand at (i + 1, j + 1), framed by one entry before and two after that continue
+them, here as in a mirror. So the spline's value anywhere in it is a sum over 4 x 4 coefficients,
+or 4 x 4 x 4, without questions at the edges.
 
-Every row or strip is computed by one thread, in one order: results do not depend on the
+Every row, slice or strip is computed by one thread, in one order: results do not depend on the
 number of threads.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
 from eofm.compiled import compiled, share
-from eofm.grid import Array, Mask
+from eofm.grid import Array
 
 # The recursive filter that turns samples into coefficients: its pole, and where the powers
 # of the pole are zero up to rounding.
@@ -25,38 +22,6 @@ POLE = math.sqrt(3) - 2
 HORIZON = 30
 # Columns, or rows, that are computed together.
 STRIP = 64
-
-
-class Terms(NamedTuple):
-    """Which entries along an axis make a new one.
-
-    Attributes
-    ----------
-    at : ndarray of int, shape (n, number of terms)
-    w : ndarray, shape (n, number of terms)
-        Their weights.
-    """
-
-    at: NDArray[np.intp]
-    w: Array
-
-
-class Bumps(NamedTuple):
-    """M Gaussians of height 1, each cut off outside of its columns and rows.
-
-    Attributes
-    ----------
-    centres : ndarray, shape (2, M)
-        Lateral and axial.
-    sigma : ndarray, shape (M,)
-    columns, rows : ndarray of int, shape (2, M)
-        The first and the one after the last of each.
-    """
-
-    centres: Array
-    sigma: Array
-    columns: NDArray[np.intp]
-    rows: NDArray[np.intp]
 
 
 @compiled
@@ -116,62 +81,58 @@ def _filter_columns(first, last, c):
             c[n + 2, j] = c[max(n - 2, 1), j]
 
 
+@compiled
+def _filter_slices(first, last, c, I):
+    """Write the coefficients along both axes of slices of samples to c."""
+    for i in range(first, last):
+        _filter_rows(0, I.shape[1], c[i + 1], I[i])
+        _filter_columns(0, (I.shape[2] + 2) // STRIP + 1, c[i + 1])
+
+
 def coefficients(c: Array, I: Array) -> None:
-    """Write the coefficients of the cubic spline through an image to c."""
-    share(_filter_rows, I.shape[0], I.size, c, I)
-    share(_filter_columns, (I.shape[1] + 2) // STRIP + 1, I.size, c)
-
-
-@njit
-def _locate(x, n):
-    """The sample before x, for x in the range of n samples, and the distance from it."""
-    x = min(x, n - 1.0) if x > 0 else 0.0
-    j = max(min(int(x), n - 2), 0)
-    return j, x - j
-
-
-def weights(t):
-    """Weights of the coefficients around a point t past a sample, and their derivatives."""
-    s = 1 - t
-    a, b = s * s * s / 6, t * t * t / 6
-    w = (a, 2 / 3 - t * t * (2 - t) / 2, 2 / 3 - s * s * (2 - s) / 2, b)
-    d = (-s * s / 2, t * (1.5 * t - 2), s * (2 - 1.5 * s), t * t / 2)
-    return w, d
-
-
-_weights = njit(weights)
+    """Write the coefficients of the cubic spline through an image or a volume to c."""
+    share(_filter_rows if I.ndim == 2 else _filter_slices, I.shape[0], I.size, c, I)
+    lines = c.reshape(len(c), -1)
+    share(_filter_columns, (lines.shape[1] - 1) // STRIP + 1, I.size, lines)
 
 
 @compiled
-def _sample(first, last, values, gradients, inside, c, u, step):
-    n, m = c.shape[0] - 3, c.shape[1] - 3
-    for i in range(first, last):
-        for k in range(values.shape[1]):
-            x1, x2 = u[0, i, k] + step * k, u[1, i, k] + step * i
-            inside[i, k] = 0 <= x1 <= m - 1 and 0 <= x2 <= n - 1
-            j1, t1 = _locate(x1, m)
-            j2, t2 = _locate(x2, n)
-            (a1, b1, c1, d1), (e1, f1, g1, h1) = _weights(t1)
-            w2, v2 = _weights(t2)
-            total, along1, along2 = 0.0, 0.0, 0.0
-            for p in range(4):
-                q, r, s, t = c[j2 + p, j1], c[j2 + p, j1 + 1], c[j2 + p, j1 + 2], c[j2 + p, j1 + 3]
-                row = a1 * q + b1 * r + c1 * s + d1 * t
-                total += w2[p] * row
-                along2 += v2[p] * row
-                along1 += w2[p] * (e1 * q + f1 * r + g1 * s + h1 * t)
-            values[i, k] = total
-            if gradients.shape[0]:
-                gradients[0, i, k], gradients[1, i, k] = along1, along2
+def _turn(first, last, c, power, reach):
+    n, m = c.shape[1] - 3, c.shape[2]
+    strips, far = (m - 1) // STRIP + 1, power[-1]
+    ends = np.empty((2, STRIP))
+    for line in range(first, last):
+        lines, low = c[line // strips], line % strips * STRIP
+        high = min(low + STRIP, m)
+        for j in range(low, high):
+            start, end = (lines[2, j] - lines[1, j]) / 3, (lines[n - 1, j] - lines[n, j]) / 3
+            ends[0, j - low], ends[1, j - low] = start - far * end, end - far * start
+        for k in range(reach):
+            for j in range(low, high):
+                lines[1 + k, j] += power[k] * ends[0, j - low] / (1 - far * far)
+        for k in range(reach):
+            for j in range(low, high):
+                lines[n - k, j] += power[k] * ends[1, j - low] / (1 - far * far)
+        for j in range(low, high):
+            lines[0, j] = 2 * lines[1, j] - lines[2, j]
+            lines[n + 1, j] = 2 * lines[n, j] - lines[n - 1, j]
+            lines[n + 2, j] = 2 * lines[n, j] - lines[n - 2, j]
 
 
-def sample(values: Array, gradients: Array, inside: Mask, c: Array, u: Array, step: float) -> None:
-    """Evaluate a spline at ``x = u + step (column, row)``.
+def turn(c: Array, axis: int) -> None:
+    """Make coefficients that are mirrored along an axis those of a spline that is odd there.
 
-    values, inside: shape (k, l); gradients: shape (2, k, l), or (0, k, l) if not wanted;
-    u: shape (2, k, l). Points outside take the value of the nearest border point.
+    Its second derivative is zero at the ends, where the coefficients are the samples. The
+    differences are taken to the inside by the powers of the pole, whose spline is zero at the
+    samples in between.
     """
-    share(_sample, values.shape[0], values.size, values, gradients, inside, c, u, step)
+    n = c.shape[axis] - 3
+    if n == 1:
+        return
+    lines = c.reshape(math.prod(c.shape[:axis]), n + 3, math.prod(c.shape[axis + 1 :]))
+    reach = n if c.dtype == np.float64 else min(n, HORIZON)
+    strips = (lines.shape[2] - 1) // STRIP + 1
+    share(_turn, len(lines) * strips, c.size, lines, POLE ** np.arange(n), reach)
 
 
 @compiled
@@ -186,55 +147,25 @@ def _slopes(first, last, g, c):
             g[0, i, j], g[1, i, j] = (right - left) / 12, (bottom - top) / 12
 
 
+@compiled
+def _slopes_of_slices(first, last, g, c):
+    s = np.empty((3, c.shape[2]), c.dtype)
+    for h in range(first, last):
+        for i in range(g.shape[2]):
+            p0, p1, p2 = c[h, i], c[h, i + 1], c[h, i + 2]
+            q0, q1, q2 = c[h + 1, i], c[h + 1, i + 1], c[h + 1, i + 2]
+            r0, r1, r2 = c[h + 2, i], c[h + 2, i + 1], c[h + 2, i + 2]
+            for j in range(c.shape[2]):
+                front, back = p0[j] + 4 * p1[j] + p2[j], r0[j] + 4 * r1[j] + r2[j]
+                s[0, j] = front + 4 * (q0[j] + 4 * q1[j] + q2[j]) + back
+                s[1, j] = p2[j] - p0[j] + 4 * (q2[j] - q0[j]) + r2[j] - r0[j]
+                s[2, j] = back - front
+            for j in range(g.shape[3]):
+                g[0, h, i, j] = (s[0, j + 2] - s[0, j]) / 72
+                g[1, h, i, j] = (s[1, j] + 4 * s[1, j + 1] + s[1, j + 2]) / 72
+                g[2, h, i, j] = (s[2, j] + 4 * s[2, j + 1] + s[2, j + 2]) / 72
+
+
 def slopes(g: Array, c: Array) -> None:
-    """Write the gradient of a spline at the pixels to g, shape (2, n, m)."""
-    share(_slopes, g.shape[1], g.size, g, c)
-
-
-@compiled
-def _resample(first, last, J, c, lateral, axial):
-    s = np.empty(c.shape[1])
-    for i in range(first, last):
-        s[:] = 0
-        for k in range(axial.at.shape[1]):
-            source, weight = c[axial.at[i, k]], axial.w[i, k]
-            for j in range(s.size):
-                s[j] += weight * source[j]
-        for j in range(J.shape[1]):
-            total = 0.0
-            for k in range(lateral.at.shape[1]):
-                total += lateral.w[j, k] * s[lateral.at[j, k]]
-            J[i, j] = total
-
-
-def resample(J: Array, c: Array, lateral: Terms, axial: Terms) -> None:
-    """Write to J sums of entries of c along both axes."""
-    share(_resample, J.shape[0], J.size, J, c, lateral, axial)
-
-
-@compiled
-def _add_gaussians(first, last, total, axes, bumps, weights):
-    (x1, x2), (centres, sigma, columns, rows) = axes, bumps
-    low, high = first * STRIP, min(last * STRIP, x2.size)
-    g1 = np.empty(x1.size)
-    for k in range(sigma.size):
-        if rows[0, k] >= high or rows[1, k] <= low:
-            continue
-        start, size = columns[0, k], columns[1, k] - columns[0, k]
-        factor = -0.5 / sigma[k] ** 2
-        for j in range(size):
-            g1[j] = math.exp(factor * (x1[start + j] - centres[0, k]) ** 2)
-        for i in range(max(low, rows[0, k]), min(high, rows[1, k])):
-            g2 = math.exp(factor * (x2[i] - centres[1, k]) ** 2)
-            for l in range(weights.shape[0]):
-                height = weights[l, k] * g2
-                for j in range(size):
-                    total[l, i, start + j] += height * g1[j]
-
-
-def add_gaussians(total: Array, axes: tuple[Array, Array], bumps: Bumps, weights: Array) -> None:
-    """Add weighted Gaussians to sums of them.
-
-    total: shape (k, n, m); axes: lateral and axial positions; weights: shape (k, M).
-    """
-    share(_add_gaussians, (axes[1].size - 1) // STRIP + 1, total.size, total, axes, bumps, weights)
+    """Write the gradient of a spline at the pixels to g, shape (2, n, m) or (3, k, n, m)."""
+    share(_slopes if c.ndim == 2 else _slopes_of_slices, g.shape[1], g.size, g, c)

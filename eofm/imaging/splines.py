@@ -1,28 +1,29 @@
-"""Images as functions: normalise, resize, differentiate and evaluate them.
+"""Images and volumes as functions: resize, differentiate and evaluate them.
 
-Images are float64 arrays of shape (height, width). Fields have shape (2, height,
-width): component 0 is lateral (along columns), component 1 axial (along rows, down).
-An image covers ``[0, width - 1] x [0, height - 1]``, its samples being the nodes of a
-grid, so that a coarser image of the same sample has the same corners.
+Images are float64 arrays of shape (height, width), volumes float32 arrays of shape (depth,
+height, width). Fields have one axis more in front: component 0 is lateral (along columns),
+component 1 axial (along rows, down), component 2 elevational (along slices). An image covers
+``[0, width - 1] x [0, height - 1]``, its samples being the nodes of a grid, so that a coarser
+image of the same sample has the same corners.
 """
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
-from eofm.grid import Array
-from eofm.imaging import kernels
+from eofm.grid import Array, Mask, precision
+from eofm.imaging import kernels, sampling
 from eofm.imaging.gaussian import mirrored, taps
-from eofm.imaging.kernels import Terms
+from eofm.imaging.sums import Terms, resample
 
 
 class Spline:
-    """The cubic spline through an image.
+    """The cubic spline through an image or a volume.
 
     Linear interpolation is 8 times less accurate on speckle.
 
     Parameters
     ----------
-    I : ndarray, shape (height, width)
+    I : ndarray, shape (height, width) or (depth, height, width)
     odd : bool
         How it goes on beyond the edges: as in a mirror, or turned by half a turn about the
         edge, ``I(-x) = 2 I(0) - I(x)``. The mirror suits images. It would bend a component
@@ -30,90 +31,76 @@ class Spline:
     """
 
     def __init__(self, I: Array, odd: bool = False) -> None:
-        I = np.require(I, np.float64, ["C", "W"])
-        self.shape, self.odd = (I.shape[0], I.shape[1]), odd
-        self.c = np.empty((I.shape[0] + 3, I.shape[1] + 3))
-        kernels.coefficients(self.c, I)
+        self.shape, self.ndim, self.odd = I.shape, I.ndim, odd
+        self.c = np.empty([n + 3 for n in I.shape], precision(I.ndim))
+        kernels.coefficients(self.c, np.require(I, self.c.dtype, ["C", "W"]))
         if odd:
-            _turn(self.c)
-            _turn(self.c.T)
+            for axis in range(I.ndim):
+                kernels.turn(self.c, axis)
 
-    def gradient(self, spacing: tuple[float, float] = (1.0, 1.0)) -> Array:
-        """Gradient at the samples, shape (2, height, width), per unit of ``spacing``."""
-        g = np.empty((2, *self.shape))
+    def gradient(self, spacing: ArrayLike = 1.0) -> Array:
+        """Gradient at the samples, shape (ndim, ...), per unit of ``spacing``."""
+        g = np.empty((self.ndim, *self.shape), self.c.dtype)
         kernels.slopes(g, self.c)
         return _per_length(g, spacing)
 
     def evaluate(self, x: Array) -> Array:
-        """Values at points ``x`` = (lateral, axial), shape (2, ...), in samples.
+        """Values at points ``x`` = (lateral, axial, ...), shape (ndim, ...), in samples.
 
         Points outside the image take the value of the nearest point of its border.
         """
-        values, _, _ = self._sample(x.reshape(2, -1, 1), 0.0, 0)
+        values, _, _ = self._sample(self._points(x), 0.0, 0)
         return values.reshape(x.shape[1:])
 
-    def warp(self, u: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def evaluate_with_gradient(self, x: Array) -> tuple[Array, Array]:
+        """Values at points, and the gradient there, of the shape of x."""
+        values, gradients, _ = self._sample(self._points(x), 0.0, self.ndim)
+        return values.reshape(x.shape[1:]), gradients.reshape(x.shape)
+
+    def warp(self, u: Array, out: Array | None = None) -> tuple[Array, Mask]:
         """The image ``I(x + u(x))``, and where ``x + u(x)`` lies inside of ``I``.
 
-        ``u``, shape (2, height, width), is measured in samples.
+        ``u``, shape (ndim, ...), is measured in samples. The image is written to ``out`` if given.
         """
-        values, _, inside = self._sample(u, 1.0, 0)
+        values, _, inside = self._sample(np.asarray(u, self.c.dtype), 1.0, 0, out)
         return values, inside
 
-    def warp_with_gradient(
-        self, u: Array, spacing: tuple[float, float] = (1.0, 1.0)
-    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+    def warp_with_gradient(self, u: Array, spacing: ArrayLike = 1.0) -> tuple[Array, Array, Mask]:
         """``I(x + u(x))``, the gradient of ``I`` there, and where it lies inside of ``I``.
 
-        The gradient, shape (2, height, width), is per unit of ``spacing``.
+        The gradient, of the shape of u, is per unit of ``spacing``.
         """
-        values, gradients, inside = self._sample(u, 1.0, 2)
+        values, gradients, inside = self._sample(np.asarray(u, self.c.dtype), 1.0, self.ndim)
         return values, _per_length(gradients, spacing), inside
 
-    def resize(self, shape: tuple[int, int]) -> Array:
+    def resize(self, shape: tuple[int, ...], out: Array | None = None) -> Array:
         """Samples on a grid of another size with the same corners, see :func:`resize`."""
-        axial, lateral = (
-            _terms(old, new, self.odd) for old, new in zip(self.shape, shape, strict=True)
-        )
-        J = np.empty(shape)
-        kernels.resample(J, self.c, lateral, axial)
+        J = np.empty(shape, self.c.dtype) if out is None else out
+        sides = zip(self.shape, shape, strict=True)
+        resample(J, self.c, [_terms(old, new, self.odd) for old, new in sides])
         return J
 
+    def _points(self, x: Array) -> Array:
+        return np.asarray(x, np.float64).reshape(self.ndim, -1, *[1] * (self.ndim - 1))
+
     def _sample(
-        self, u: Array, step: float, components: int
-    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+        self, u: Array, step: float, components: int, out: Array | None = None
+    ) -> tuple[Array, Array, Mask]:
         shape = u.shape[1:]
-        values, gradients = np.empty(shape), np.empty((components, *shape))
+        values = np.empty(shape, self.c.dtype) if out is None else out
+        gradients = np.empty((components, *shape), self.c.dtype)
         inside = np.empty(shape, dtype=np.bool_)
-        u = np.require(u, np.float64, ["C", "W"])
-        kernels.sample(values, gradients, inside, self.c, u, step)
+        u = np.require(u, requirements=["C", "W"])
+        sampling.sample(values, gradients, inside, self.c, u, step)
         return values, gradients, inside
 
 
-def _per_length(g: Array, spacing: tuple[float, float]) -> Array:
+def _per_length(g: Array, spacing: ArrayLike) -> Array:
     """Derivatives per sample made derivatives per unit of ``spacing``, in place."""
-    for component, h in zip(g, spacing, strict=True):
+    for component, h in zip(g, np.broadcast_to(spacing, len(g)), strict=True):
         if h != 1:
-            component /= h
+            component /= float(h)
     return g
-
-
-def _turn(c: Array) -> None:
-    """Make coefficients that are mirrored along axis 0 those of a spline that is odd there.
-
-    Its second derivative is zero at the ends, where the coefficients are the samples. The
-    differences are taken to the inside by the powers of the pole, whose spline is zero at the
-    samples in between.
-    """
-    n = len(c) - 3
-    if n == 1:
-        return
-    power = kernels.POLE ** np.arange(n)[:, None]
-    far = power[-1]
-    first, last = (c[2] - c[1]) / 3, (c[n - 1] - c[n]) / 3
-    c[1 : n + 1] += power * (first - far * last) / (1 - far**2)
-    c[1 : n + 1] += power[::-1] * (last - far * first) / (1 - far**2)
-    c[0], c[n + 1], c[n + 2] = 2 * c[1] - c[2], 2 * c[n] - c[n - 1], 2 * c[n] - c[n - 2]
 
 
 def _terms(old: int, new: int, odd: bool) -> Terms:
@@ -127,7 +114,7 @@ def _terms(old: int, new: int, odd: bool) -> Terms:
     offsets, gauss = taps(0.5 * np.sqrt(max(f**2 - 1, 0)))
     position = f * np.arange(new)
     first = np.minimum(position.astype(np.intp), old - 2)
-    spline = np.stack(kernels.weights(position - first)[0], axis=1)
+    spline = np.stack(sampling.weights(position - first)[0], axis=1)
     w = np.zeros((new, 3 + len(gauss)))
     for k, g in enumerate(gauss):
         w[:, k : k + 4] += g * spline
@@ -140,16 +127,16 @@ def _terms(old: int, new: int, odd: bool) -> Terms:
     return Terms(at + 1, w)
 
 
-def gradient(I: Array, spacing: tuple[float, float] = (1.0, 1.0)) -> Array:
-    """Gradient of the cubic spline through an image, shape (2, height, width).
+def gradient(I: Array, spacing: ArrayLike = 1.0) -> Array:
+    """Gradient of the cubic spline through an image or a volume, shape (ndim, ...).
 
-    ``spacing`` holds the lateral and the axial distance of the samples.
+    ``spacing`` holds the distances of the samples: lateral, axial, ...
     """
     return Spline(I).gradient(spacing)
 
 
 def evaluate(I: Array, x: Array) -> Array:
-    """Values of an image at points ``x`` = (lateral, axial), shape (2, ...), in samples.
+    """Values at points ``x`` = (lateral, axial, ...), shape (ndim, ...), in samples.
 
     Points outside the image take the value of the nearest point of its border.
     """
@@ -157,11 +144,11 @@ def evaluate(I: Array, x: Array) -> Array:
 
 
 def evaluate_field(u: Array, x: Array) -> Array:
-    """Both components of a field at points, shape (2, ...)."""
+    """All components of a field at points, shape (ndim, ...)."""
     return np.stack([Spline(c, odd=True).evaluate(x) for c in u])
 
 
-def warp(I: Array, u: Array) -> tuple[Array, NDArray[np.bool_]]:
+def warp(I: Array, u: Array) -> tuple[Array, Mask]:
     """The image ``I(x + u(x))``, and where ``x + u(x)`` lies inside of ``I``.
 
     ``u`` is measured in samples of ``I``.
@@ -170,21 +157,34 @@ def warp(I: Array, u: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def warp_field(f: Array, u: Array) -> Array:
-    """Both components of ``f(x + u(x))``, shape (2, height, width)."""
-    return np.stack([Spline(c, odd=True).warp(u)[0] for c in f])
+    """All components of ``f(x + u(x))``, of the shape of f."""
+    warped = np.empty(f.shape, precision(f.ndim - 1))
+    for c, out in zip(f, warped, strict=True):
+        Spline(c, odd=True).warp(u, out)
+    return warped
 
 
-def resize(I: Array, shape: tuple[int, int], odd: bool = False) -> Array:
-    """Sample an image on a grid of another size with the same corners.
+def resize(I: Array, shape: tuple[int, ...], odd: bool = False) -> Array:
+    """Sample an image or a volume on a grid of another size with the same corners.
 
     A coarser grid is preceded by a Gaussian that takes the blur of a pixel from 0.5
     samples of the fine grid to 0.5 of the coarse one. For ``odd`` see :class:`Spline`.
     """
-    if shape == I.shape:
-        return I
-    return Spline(I, odd).resize(shape) if I.any() else np.zeros(shape)
+    return I if shape == I.shape else _resized(I, np.empty(shape, precision(I.ndim)), odd)
 
 
-def resize_field(u: Array, shape: tuple[int, int]) -> Array:
-    """Sample both components of a field on another grid; its unit stays the same."""
-    return u if shape == u.shape[1:] else np.stack([resize(c, shape, odd=True) for c in u])
+def resize_field(u: Array, shape: tuple[int, ...]) -> Array:
+    """Sample all components of a field on another grid; its unit stays the same."""
+    if shape == u.shape[1:]:
+        return u
+    resized = np.empty((len(u), *shape), precision(u.ndim - 1))
+    for c, out in zip(u, resized, strict=True):
+        _resized(c, out, odd=True)
+    return resized
+
+
+def _resized(I: Array, out: Array, odd: bool) -> Array:
+    if I.any():
+        return Spline(I, odd).resize(out.shape, out)
+    out[:] = 0
+    return out

@@ -2,9 +2,13 @@
 
 The only room that knows file formats:
 
-- `images`: what a file holds, checked: an image, a stack, a pair, a field; and writing them.
+- `images`: what a file holds, checked: an image or volume, a stack, a pair, a field; and writing
+  them.
 - `tables`: CSV, YAML and JSON.
-- `formats`: the array of a file of any format; `tiff`, `matlab` and `hdf5` each know one.
+- `scan`: an array, the meaning of its axes, and the size of its pixels.
+- `formats`: the array of a file of any format; `tiff`, `plain`, `matlab` and others each know one.
+- `apart`: the process of their own in which libraries read what may crash them.
+- `vti`: fields for ParaView.
 - `limits`: how large an array may be, how long a foreign reader may take.
 - `places`: where files are written, each complete or not at all, and several as one.
 - `origin`: what a result comes from, and checksums of what was written.
@@ -14,6 +18,8 @@ from eofm.io.images import (
     read_field,
     read_image,
     read_pair,
+    read_scan,
+    read_scans,
     read_stack,
     write_field,
     write_image,
@@ -22,6 +28,7 @@ from eofm.io.images import (
 from eofm.io.limits import limit_size
 from eofm.io.origin import Origin, checksum
 from eofm.io.places import check_place, remove, replacing, together
+from eofm.io.scan import PixelSize, Scan, pixel_size
 from eofm.io.tables import (
     BUBBLE_COLUMNS,
     read_bubbles,
@@ -30,18 +37,24 @@ from eofm.io.tables import (
     write_json,
     write_table,
 )
+from eofm.io.vti import write_vti
 
 __all__ = [
     "BUBBLE_COLUMNS",
     "Origin",
+    "PixelSize",
+    "Scan",
     "check_place",
     "checksum",
     "limit_size",
+    "pixel_size",
     "read_bubbles",
     "read_columns",
     "read_field",
     "read_image",
     "read_pair",
+    "read_scan",
+    "read_scans",
     "read_settings",
     "read_stack",
     "remove",
@@ -52,4 +65,5 @@ __all__ = [
     "write_json",
     "write_pages",
     "write_table",
+    "write_vti",
 ]

@@ -1,54 +1,46 @@
 """The array of a file of any format, or the variable and page of it that is named."""
 
-import io
 import os
-import struct
-import zipfile
+from collections.abc import Callable
 from pathlib import Path
-from typing import IO
-
-import numpy as np
-from numpy.typing import NDArray
 
 from eofm.errors import InputError
-from eofm.io.limits import PATIENCE, check_size, largest
+from eofm.io.apart import installed, read_apart
+from eofm.io.headed import read_mha, read_nrrd
+from eofm.io.limits import PATIENCE, largest
+from eofm.io.matlab import read_matlab
 from eofm.io.origin import reading
+from eofm.io.plain import read_numpy, read_png
+from eofm.io.scan import Scan, choose, micrometres
+from eofm.io.thorlabs import read_oct
 from eofm.io.tiff import read_tiff
 
-HDF5 = b"\x89HDF\r\n\x1a\n"
-# An HDF5 file may begin with something else; MATLAB's do, with this many bytes.
-MATLAB_HEAD = 512
-# Names of variables that a message lists, and letters of each: MATLAB allows for so many.
-MOST, LONGEST = 20, 63
-# Bytes that hold the header of a NumPy file.
-LONGEST_HEAD = 1 << 16
-# Readers of headers by the version of the format; the third is for fields with letters.
-HEADERS = {1: np.lib.format.read_array_header_1_0, 2: np.lib.format.read_array_header_2_0}
+# What reads a file, or the array of it that is named.
+Reader = Callable[[str, str], Scan]
+# First bytes of TIFF and BigTIFF in both orders.
+TIFFS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
 
-def read_array(path: Path) -> NDArray:
+def read_array(path: Path) -> Scan:
     """The array of a file, or the variable and page of it named after ``#``.
 
     Raises
     ------
     InputError
-        If the file is missing, damaged, too large, or does not hold what is named.
+        If the file is missing, damaged, too large, of no format known, or does not hold what is
+        named.
     """
-    name, parts = str(path), []
-    if not os.path.exists(name):  # which is quiet about names that no file can have
-        folder, _, last = name.rpartition("/")
-        last, *parts = last.split("#")
-        name = f"{folder}/{last}" if "/" in name else last
-    kind = Path(name).suffix.lower()
-    label = kind[1:].upper() if kind in READERS else "TIFF"
-    check_is_file(name, label)
+    name, parts = _split(str(path))
+    if not _is_folder(name):
+        check_is_file(name, "an image")
+    kind, label, read = _format(name)
     pages = [part for part in parts if part.isdecimal()]
     variables = [part for part in parts if not part.isdecimal()]
-    if len(pages) > 1 or len(variables) > (kind in (".mat", ".npz")) or (pages and kind == ".png"):
+    if len(pages) > 1 or len(variables) > (kind in NAMED) or (pages and kind == ".png"):
         raise InputError(f"{path}: cannot tell what #{'#'.join(parts)} means for such a file")
     try:
         with reading(Path(name)):
-            array = READERS.get(kind, _read_tiff)(name, "".join(variables))
+            scan = read(name, "".join(variables))
     except InputError:
         raise
     except MemoryError:
@@ -56,11 +48,53 @@ def read_array(path: Path) -> NDArray:
     except Exception as error:  # readers raise whatever the damage leads to
         raise InputError(f"{name}: cannot be read as {label} ({one_line(error)})") from None
     if not pages:
-        return array
-    page = int(pages[0])
+        return scan
+    page, array = int(pages[0]), scan.values
     if array.ndim < 3 or page >= len(array):
         raise InputError(f"{path}: has no page {page}; the file holds shape {array.shape}")
-    return array[page]
+    return Scan(array[page], scan.axes[1:], scan.sizes)
+
+
+def _split(name: str) -> tuple[str, list[str]]:
+    """The file that there is, and what is named after ``#``."""
+    if os.path.exists(name):  # which is quiet about names that no file can have
+        return name, []
+    places = [at for at, letter in enumerate(name) if letter == "#"]
+    for at in reversed(places):
+        if os.path.isfile(name[:at]) or _is_folder(name[:at]):
+            return name[:at], name[at + 1 :].split("#")
+    folder, _, last = name.rpartition("/")
+    last, *parts = last.split("#")
+    return f"{folder}/{last}" if "/" in name else last, parts
+
+
+def _is_folder(name: str) -> bool:
+    """Whether it is a folder that counts as a file."""
+    return name.rstrip("/").lower().endswith(".zarr") and os.path.isdir(name)
+
+
+def _format(name: str) -> tuple[str, str, Reader]:
+    """Ending, name and reader of the format of a file, by its name or else its first bytes.
+
+    Raises
+    ------
+    InputError
+        If it is none that we know.
+    """
+    lower = name.rstrip("/").lower()
+    for kind, (label, read) in READERS.items():
+        if lower.endswith(kind):
+            return kind, label, read
+    with open(name, "rb") as file:
+        head = file.read(132)
+    if head[:4] in TIFFS or not Path(name).suffix:
+        return ".tif", *READERS[".tif"]
+    if head[128:] == b"DICM":  # scanners give such files numbers for endings
+        return ".dcm", *READERS[".dcm"]
+    known = list(dict.fromkeys(label for label, _ in READERS.values()))
+    raise InputError(
+        f"{name}: is of no format known here; those are {', '.join(known[:-1])} and {known[-1]}"
+    )
 
 
 def check_is_file(name: str, label: str) -> None:
@@ -77,84 +111,46 @@ def one_line(error: BaseException) -> str:
     return text if len(text) <= 200 else text[:200] + "..."
 
 
-def _read_tiff(name: str, part: str) -> NDArray:
+def _read_tiff(name: str, part: str) -> Scan:
     return read_tiff(name)
 
 
-def _read_png(name: str, part: str) -> NDArray:
-    from PIL import Image
+def _apart(reader: str, library: str, extra: str = "") -> Reader:
+    """A reader in a process of its own, that says what to install where its library is missing."""
 
-    with open(name, "rb") as file:
-        head = file.read(24)
-        if head[12:16] != b"IHDR" or len(head) < 24:
-            raise ValueError("no PNG file")
-        check_size(name, struct.unpack(">II", head[16:24]))
-        check_size(name, [os.fstat(file.fileno()).st_size], 1)
-        # Of a file it would make room for as much as a damaged length asks for.
-        image = Image.open(io.BytesIO(head + file.read()), formats=["PNG"])
-        return np.asarray(image.convert("RGB") if image.mode == "P" else image)
+    def read(name: str, part: str) -> Scan:
+        if extra and not installed(library):
+            raise InputError(f"{name}: wants another package; pip install 'eofm[{extra}]'")
+        names, array, axes, sizes = read_apart(reader, name, part, largest(), PATIENCE)
+        if array is None:
+            raise ValueError(f"there is no {choose(name, names, part)}")
+        stated = {a: micrometres({a: side}, unit).get(a) for a, (side, unit) in sizes.items()}
+        return Scan(array, axes, {axis: side for axis, side in stated.items() if side})
 
-
-def _read_numpy(name: str, part: str) -> NDArray:
-    with open(name, "rb") as file:
-        if not zipfile.is_zipfile(file):
-            return _read_npy(file, name, os.fstat(file.fileno()).st_size)
-        with zipfile.ZipFile(file) as archive:
-            members = {i.filename.removesuffix(".npy"): i for i in archive.infolist()}
-            chosen = members[_choose(name, sorted(members), part)]
-            with archive.open(chosen) as member:
-                return _read_npy(member, name, chosen.file_size)
+    return read
 
 
-def _read_npy(file: IO[bytes], name: str, size: int) -> NDArray:
-    """An array, once its header fits what is there."""
-    file.seek(0)
-    # From the beginning alone: a damaged length asks for as much memory.
-    head = io.BytesIO(file.read(LONGEST_HEAD))
-    version = np.lib.format.read_magic(head)[0]
-    if version not in HEADERS:
-        raise ValueError(f"NumPy's format {version} is for tables")
-    shape, _, dtype = HEADERS[version](head)
-    check_size(name, shape, dtype.itemsize)
-    if min(shape, default=0) < 0 or dtype.itemsize * np.prod(shape, dtype=float) > size:
-        raise ValueError(f"shape {shape} is stated, {size} bytes are there")
-    file.seek(0)
-    return np.lib.format.read_array(file, allow_pickle=False)
-
-
-def _read_matlab(name: str, part: str) -> NDArray:
-    """MATLAB 5 by our own reader; MATLAB 7.3 is HDF5, whose axes are the other way round."""
-    with open(name, "rb") as file:
-        head = file.read(MATLAB_HEAD + len(HDF5))
-        if HDF5 in (head[: len(HDF5)], head[MATLAB_HEAD:]):
-            from eofm.io.hdf5 import read_hdf5
-
-            names, array = read_hdf5(os.path.abspath(name), part, largest(), PATIENCE)
-            array = array if array is not None else np.empty(0)
-            _choose(name, names, part)
-        else:
-            from eofm.io.matlab import values, variables
-
-            check_size(name, [os.fstat(file.fileno()).st_size], 1)
-            found = variables(head + file.read())
-            numeric = [key for key, variable in found.items() if variable.numeric]
-            chosen = part if part in found else _choose(name, numeric, part)
-            array = values(found[chosen], f"{name}#{chosen[:LONGEST]}")
-    # MATLAB keeps pages last.
-    return np.moveaxis(array, -1, 0) if array.ndim == 3 else array
-
-
-def _choose(name: str, names: list[str], part: str) -> str:
-    """The variable that is named, or the only one."""
-    if part in names:
-        return part
-    if len(names) == 1 and not part:
-        return names[0]
-    shown = [each[:LONGEST] for each in names[:MOST]] + ["..."] * (len(names) > MOST)
-    raise InputError(
-        f"{name}: name a variable, as in {name}#{next(iter(shown), 'I')}; it holds"
-        f" {', '.join(shown) or 'none'}"
-    )
-
-
-READERS = {".png": _read_png, ".npy": _read_numpy, ".npz": _read_numpy, ".mat": _read_matlab}
+_tiff, _numpy, _hdf5 = ("TIFF", _read_tiff), ("NumPy", read_numpy), ("HDF5", _apart("hdf5", "h5py"))
+_mha = ("MHA", read_mha)
+_nifti = ("NIfTI", _apart("nifti", "nibabel", "medical"))
+READERS: dict[str, tuple[str, Reader]] = {
+    ".tif": _tiff,
+    ".tiff": _tiff,
+    ".png": ("PNG", read_png),
+    ".npy": _numpy,
+    ".npz": _numpy,
+    ".mat": ("MATLAB", read_matlab),
+    ".h5": _hdf5,
+    ".hdf5": _hdf5,
+    ".hdf": _hdf5,
+    ".zarr": ("Zarr", _apart("omezarr", "zarr", "zarr")),
+    ".nii": _nifti,
+    ".nii.gz": _nifti,
+    ".dcm": ("DICOM", _apart("dicom", "pydicom", "medical")),
+    ".mha": _mha,
+    ".mhd": _mha,
+    ".nrrd": ("NRRD", read_nrrd),
+    ".oct": ("Thorlabs .oct", read_oct),
+}
+# Files of several arrays, each with a name.
+NAMED = (".npz", ".mat", ".h5", ".hdf5", ".hdf", ".zarr", ".oct")

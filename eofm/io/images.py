@@ -1,147 +1,243 @@
-"""What a file holds, checked: an image, a stack, a pair, a field; and writing them."""
+"""What a file holds, checked: an image or a volume, a stack, a pair, a field; and writing them."""
 
+import logging
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eofm.errors import InputError
-from eofm.grid import Array
+from eofm.grid import Array, precision
 from eofm.io.formats import read_array
+from eofm.io.scan import Scan
 from eofm.io.tiff import write_tiff
 
 # Smaller images hold no motion to speak of.
 SMALLEST = 8
+NAMES = {2: "an image", 3: "a volume"}
+MEANINGS = {"T": "times", "C": "channels", "Z": "slices", "Q": "pages"}
+COMPONENTS = ("u1 lateral", "u2 axial", "u3 elevational")
+
+logger = logging.getLogger("eofm")
 
 
-def read_image(path: Path) -> Array:
-    """Read a greyscale image, shape (height, width): TIFF, PNG, NumPy or MATLAB.
+def read_scan(path: Path, ndim: int | None = None) -> Scan:
+    """Read a greyscale image, shape (height, width), or volume, (depth, height, width).
 
-    ``FILE#3`` is page 3 (from 0) of a stack, ``FILE#name`` a variable of a MATLAB or NumPy file,
+    Images are float64, volumes float32; of complex values it is the amplitude, which the log says.
+    ``FILE#3`` is page 3 (from 0) of a stack, ``FILE#name`` a variable of a file that has several,
     ``FILE#name#3`` a page of it.
+
+    Parameters
+    ----------
+    ndim : int, optional
+        Number of axes wanted; None takes what there is.
 
     Raises
     ------
     InputError
-        If the file is missing, unreadable, in colour, a stack, or has NaN or infinity.
+        If the file is missing, unreadable, in colour, a stack in time or of channels, of the other
+        kind than wanted, or has NaN or infinity.
     """
-    pages = read_array(path)
-    if pages.ndim == 3 and pages.shape[-1] in (3, 4):
-        pages = _grey(path, pages)
-    if pages.ndim == 3 and pages.shape[-1] == 2:
-        raise InputError(f"{path}: is greyscale with transparency; save it as plain greyscale")
-    if pages.ndim < 2:
-        raise InputError(f"{path}: holds an array of shape {pages.shape}, no image")
-    if pages.ndim != 2:
+    scan = _one_colour(path, read_array(path))
+    axes, values = scan.axes, scan.values
+    if values.ndim < 2:
+        raise InputError(f"{path}: holds an array of shape {values.shape}, no image")
+    # Axes along which there is nothing are none.
+    flat = [axis for axis in range(values.ndim - 2) if values.shape[axis] == 1]
+    values = values.reshape([n for axis, n in enumerate(values.shape) if axis not in flat])
+    axes = "".join(letter for axis, letter in enumerate(axes) if axis not in flat)
+    if ndim == 2 and values.ndim > 2:
         raise InputError(
-            f"{path}: holds a stack of shape {pages.shape}; name a page, as in {path}#0"
+            f"{path}: holds a stack of shape {values.shape} where an image is wanted; name a page,"
+            f" as in {path}#0"
         )
-    return _finite(path, pages)
+    if axes[-2:] != "YX":
+        raise InputError(f"{path}: its axes are {axes}; save an image or volume (axes YX or ZYX)")
+    wrong = next((axis for axis in axes[:-2] if axis in "TC"), None)
+    if wrong == "T" and values.ndim == 3:
+        raise InputError(
+            f"{path}: its {values.shape[0]} pages are times (T), no slices; name one, as in"
+            f" {path}#0, give the file as frames, or save it with the axes ZYX"
+        )
+    if wrong or values.ndim > 3:
+        pages = zip(values.shape[:-2], axes[:-2], strict=True)
+        said = ", ".join(f"{n} {MEANINGS[a]}" for n, a in pages)
+        raise InputError(f"{path}: holds {said}; save one image or volume (axes YX or ZYX)")
+    if ndim not in (None, values.ndim):
+        raise InputError(f"{path}: is {NAMES[values.ndim]} where {NAMES[3]} is wanted")
+    return Scan(_finite(path, _amplitude(path, values), values.ndim), axes, scan.sizes)
 
 
-def read_stack(path: Path) -> Array:
-    """Read a sequence of greyscale frames, shape (frames, height, width).
+def read_image(path: Path, ndim: int | None = None) -> Array:
+    """Read the values of an image or volume, see `read_scan`."""
+    return read_scan(path, ndim).values
+
+
+def read_stack(path: Path) -> Scan:
+    """Read a sequence of greyscale frames, shape (frames, height, width), float64.
 
     Raises
     ------
     InputError
         If the file cannot be used or holds fewer than two frames.
     """
-    frames = read_array(path)
-    if frames.ndim != 3 or len(frames) < 2 or frames.shape[-1] in (3, 4):
+    scan = _one_colour(path, read_array(path))
+    frames = scan.values
+    if frames.ndim != 3 or len(frames) < 2:
         raise InputError(f"{path}: is no stack of greyscale frames (shape {frames.shape})")
+    if scan.axes[0] in "CZ":
+        logger.warning(f"{path}: {MEANINGS[scan.axes[0]]} ({scan.axes[0]}) are taken for frames")
     _check_not_small(path, frames[0])
-    return _finite(path, frames)
+    return Scan(_finite(path, _amplitude(path, frames), 2), scan.axes, scan.sizes)
 
 
-def read_pair(reference: Path, deformed: Path) -> tuple[Array, Array]:
-    """Read the images before and after compression, which must have one size.
+def read_scans(reference: Path, deformed: Path, ndim: int | None = None) -> tuple[Scan, Scan]:
+    """Read two images or volumes, before and after compression, which must have one size.
 
     Raises
     ------
     InputError
-        If an image cannot be used, or their sizes differ.
+        If one cannot be used, see `read_scan`, or their sizes differ.
     """
-    I1, I2 = read_image(reference), read_image(deformed)
-    _check_not_small(reference, I1)
-    if I1.shape != I2.shape:
+    first, second = read_scan(reference, ndim), read_scan(deformed, ndim)
+    _check_not_small(reference, first.values)
+    if first.values.shape != second.values.shape:
         raise InputError(
-            f"{deformed}: has {_size(I2)} but {reference} has {_size(I1)};"
+            f"{deformed}: has {_size(second.values)} but {reference} has {_size(first.values)};"
             " crop or resample both to one size"
         )
-    return I1, I2
+    return first, second
 
 
-def read_field(path: Path, shape: tuple[int, ...] | None = None) -> Array:
-    """Read a displacement field, shape (2, height, width), px.
+def read_pair(reference: Path, deformed: Path, ndim: int | None = None) -> tuple[Array, Array]:
+    """Read the values of two images or volumes of one size, see `read_scans`."""
+    first, second = read_scans(reference, deformed, ndim)
+    return first.values, second.values
+
+
+def read_field(path: Path, shape: tuple[int, ...] | None = None, ndim: int | None = None) -> Array:
+    """Read a displacement field, px, shape (2, height, width) or (3, depth, height, width).
 
     Raises
     ------
     InputError
-        If the file is no such field, or not of the ``shape`` (height, width) wanted.
+        If the file is no such field, or not of the ``shape`` or number of axes wanted.
     """
-    u = read_array(path)
-    if u.ndim != 3 or u.shape[0] != 2:
+    scan = read_array(path)
+    u = scan.values
+    if scan.axes == "ZCYX":
+        u = np.moveaxis(u, 1, 0)
+    if (u.ndim, *u.shape[:1]) not in ((3, 2), (4, 3)):
         raise InputError(
-            f"{path}: is no displacement field; wanted two pages (u1, u2), found shape {u.shape}"
+            f"{path}: is no displacement field; wanted two pages (u1, u2), or three for each slice"
+            f" (u1, u2, u3), found shape {u.shape}"
         )
+    if np.iscomplexobj(u):
+        raise InputError(f"{path}: holds complex values, no displacement")
     if shape is not None and u.shape[1:] != shape:
         raise InputError(
-            f"{path}: has {_size(u[0])} but the images have {shape[0]} x {shape[1]} px;"
+            f"{path}: has {_size(u[0])} but the images have {_px(shape)};"
             " compute the field for these images"
         )
-    return _finite(path, u)
+    if ndim not in (None, u.ndim - 1):
+        raise InputError(
+            f"{path}: is the field of {NAMES[u.ndim - 1]} where that of {NAMES[6 - u.ndim]} is"
+            " wanted"
+        )
+    return _finite(path, u, u.ndim - 1)
 
 
-def write_image(path: Path, I: Array) -> None:
-    """Write an image as float32 ImageJ TIFF."""
-    write_tiff(path, I)
+def write_image(path: Path, I: Array, sides: Sequence[float] | None = None) -> None:
+    """Write an image or volume as float32 ImageJ TIFF, with the sides of its pixels, um."""
+    write_tiff(path, I, sides=sides)
 
 
-def write_field(path: Path, u: Array, unit: str = "px") -> None:
-    """Write a field as float32 ImageJ TIFF with the pages u1 and u2."""
-    write_pages(path, u, [f"u1 lateral [{unit}]", f"u2 axial [{unit}]"])
+def write_field(
+    path: Path,
+    u: Array,
+    unit: str = "px",
+    sides: Sequence[float] | None = None,
+    of: str = "",
+) -> None:
+    """Write a field as float32 ImageJ TIFF with the pages u1 and u2, of volumes u3 too.
+
+    Parameters
+    ----------
+    u : ndarray, shape (ndim, ...)
+    unit : str
+        Its unit, for the labels.
+    sides : sequence, optional
+        Sides of a pixel, um, lateral first.
+    of : str
+        What it is if no displacement, such as "deviation".
+    """
+    labels = [f"{of} of {name}" if of else name for name in COMPONENTS[: len(u)]]
+    write_pages(path, u, [f"{label} [{unit}]" for label in labels], sides)
 
 
-def write_pages(path: Path, pages: Array, labels: list[str]) -> None:
-    """Write labelled pages, shape (n, height, width), as float32 ImageJ TIFF."""
-    write_tiff(path, pages, labels)
+def write_pages(
+    path: Path, pages: Array, labels: list[str], sides: Sequence[float] | None = None
+) -> None:
+    """Write labelled images or volumes, shape (n, ...), as float32 ImageJ TIFF, for Fiji channels.
+
+    The pixel's ``sides`` in um go with them where they are known.
+    """
+    write_tiff(path, np.moveaxis(pages, 0, -3), labels, sides)
 
 
-def _finite(path: Path, values: NDArray) -> Array:
+def _amplitude(path: Path, values: NDArray) -> NDArray:
+    """The amplitude of complex values, and the log says so; others as they are."""
+    if not np.iscomplexobj(values):
+        return values
+    logger.warning(f"{path}: holds complex values; their amplitude is taken")
+    return np.abs(values)
+
+
+def _finite(path: Path, values: NDArray, ndim: int) -> Array:
+    """The values as numbers to compute with: 8 bytes in images, 4 in volumes."""
     if values.size == 0:
         raise InputError(f"{path}: holds no values (shape {values.shape})")
-    if np.iscomplexobj(values):
-        raise InputError(
-            f"{path}: holds complex values ({values.dtype}); save their amplitude, abs(I)"
-        )
     numeric = values.dtype == np.bool_ or np.issubdtype(values.dtype, np.number)
     if not numeric:
         raise InputError(f"{path}: holds {values.dtype} values; save real numbers")
-    values = values.astype(np.float64)
+    with np.errstate(over="ignore"):  # what is beyond single precision is infinite, and refused
+        values = values.astype(precision(ndim), copy=False)
+    # Page by page: a volume's truth values alone would be many.
+    if all(np.isfinite(page).all() for page in values.reshape(-1, *values.shape[-2:])):
+        return values
     bad = np.argwhere(~np.isfinite(values))
-    if len(bad):
-        row, column = bad[0][-2:]
-        raise InputError(
-            f"{path}: {len(bad)} values are NaN or infinite, the first at row {row},"
-            f" column {column}; replace or crop them"
-        )
-    return values
+    names = ("slice", "row", "column")[-ndim:]
+    place = ", ".join(f"{name} {n}" for name, n in zip(names, bad[0][-ndim:], strict=True))
+    raise InputError(
+        f"{path}: {len(bad)} values are NaN or infinite, the first at {place}; replace or crop them"
+    )
 
 
 def _check_not_small(path: Path, I: NDArray) -> None:
     if min(I.shape) < SMALLEST:
-        raise InputError(f"{path}: has {_size(I)}; at least {SMALLEST} x {SMALLEST} are needed")
+        least = " x ".join([str(SMALLEST)] * I.ndim)
+        raise InputError(f"{path}: has {_size(I)}; at least {least} are needed")
 
 
-def _grey(path: Path, colours: NDArray) -> NDArray:
-    """The one channel of a greyscale image that was saved in colours."""
+def _one_colour(path: Path, scan: Scan) -> Scan:
+    """The one channel of greyscale that was saved in colours."""
+    if not scan.axes.endswith("S"):
+        return scan
+    colours = scan.values
+    if colours.shape[-1] == 2:
+        raise InputError(f"{path}: is greyscale with transparency; save it as plain greyscale")
     if (colours[..., :3] != colours[..., :1]).any():
         raise InputError(f"{path}: is a colour image; convert it to greyscale first")
     if colours.shape[-1] == 4 and np.ptp(colours[..., 3]):
         raise InputError(f"{path}: is partly transparent; save it as plain greyscale")
-    return colours[..., 0]
+    return Scan(colours[..., 0], scan.axes[:-1], scan.sizes)
 
 
 def _size(I: NDArray) -> str:
-    return f"{I.shape[0]} x {I.shape[1]} px"
+    return _px(I.shape)
+
+
+def _px(shape: Sequence[int]) -> str:
+    return " x ".join(map(str, shape)) + " px"

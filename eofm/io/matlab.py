@@ -1,12 +1,14 @@
-"""MATLAB 5 files: arrays of real numbers.
+"""MATLAB files: arrays of numbers.
 
-SciPy's reader trusts the lengths that a file states and may end the process with it. This one
-reads full arrays of numbers only, checks every length, and so cannot.
+Those of MATLAB 7.3 are HDF5. Of those before, SciPy's reader trusts the lengths that a file
+states and may end the process with it. This one reads full arrays of numbers only, checks every
+length, and so cannot.
 
 The format: "MAT-File Format", The MathWorks, level 5.
 """
 
 import math
+import os
 import struct
 import zlib
 from dataclasses import dataclass
@@ -15,7 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eofm.errors import InputError
-from eofm.io.limits import check_size
+from eofm.io.apart import read_apart
+from eofm.io.limits import PATIENCE, check_size, largest
+from eofm.io.scan import Scan, choose, unnamed
 
 # Types of values, and classes of arrays of numbers with what they become.
 VALUES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8"}
@@ -27,6 +31,11 @@ INT32, UINT32, INT8, MATRIX, COMPRESSED = 5, 6, 1, 14, 15
 COMPLEX, LOGICAL = 0x800, 0x200
 # Header of an array: flags, sizes and name, and what is read to find them.
 HEAD = 4096
+HDF5 = b"\x89HDF\r\n\x1a\n"
+# An HDF5 file may begin with something else; MATLAB's do, with this many bytes.
+BEFORE = 512
+# Letters of a name: MATLAB allows for so many.
+LONGEST = 63
 
 
 @dataclass(frozen=True)
@@ -45,6 +54,26 @@ class Variable:
     def numeric(self) -> bool:
         """Whether it is a full array of numbers."""
         return self.kind in CLASSES
+
+
+def read_matlab(name: str, part: str) -> Scan:
+    """Read the variable that is named, or the only one; pages come first, as everywhere here."""
+    with open(name, "rb") as file:
+        head = file.read(BEFORE + len(HDF5))
+        if HDF5 in (head[: len(HDF5)], head[BEFORE:]):
+            names, array, _, _ = read_apart("hdf5", name, part, largest(), PATIENCE)
+            if array is None:
+                choose(name, names, part)
+                raise ValueError("it changed while it was read")
+            array = array.T
+        else:
+            check_size(name, [os.fstat(file.fileno()).st_size], 1)
+            found = variables(head + file.read())
+            numeric = [key for key, variable in found.items() if variable.numeric]
+            chosen = part if part in found else choose(name, numeric, part)
+            array = values(found[chosen], f"{name}#{chosen[:LONGEST]}")
+    array = array.transpose(*range(2, array.ndim)[::-1], 0, 1)
+    return Scan(array, unnamed(array))
 
 
 def variables(data: bytes) -> dict[str, Variable]:
@@ -77,28 +106,35 @@ def values(variable: Variable, name: str) -> NDArray:
     Raises
     ------
     InputError
-        If it holds something else than real numbers, or asks for too much.
+        If it holds something else than numbers, or asks for too much.
     ValueError
         If it is damaged.
     """
     if not variable.numeric:
         what = OTHERS.get(variable.kind, "no array")
         raise InputError(f"{name}: is {what}; save a full array of numbers")
-    if variable.flags & COMPLEX:
-        raise InputError(f"{name}: holds complex values; save their amplitude, abs(I)")
-    check_size(name, variable.shape)
+    parts = 2 if variable.flags & COMPLEX else 1
+    check_size(name, variable.shape, 8 * parts)
     count, order, body = math.prod(variable.shape), variable.order, variable.body
     if variable.compressed:
-        body = _inflate(body, variable.start + 8 + 8 * count + 8)
-    kind, part, _ = _element(body, variable.start, order)
+        body = _inflate(body, variable.start + parts * (8 + 8 * count + 8))
+    flat, after = _numbers(body, variable.start, order, count)
+    if parts > 1:
+        flat = flat + 1j * _numbers(body, after, order, count)[0]
+        return flat.reshape(variable.shape, order="F")
+    wanted = np.dtype(bool if variable.flags & LOGICAL else CLASSES[variable.kind])
+    return flat.astype(wanted).reshape(variable.shape, order="F")
+
+
+def _numbers(body: bytes, start: int, order: str, count: int) -> tuple[NDArray, int]:
+    """The values of an element of ``count`` numbers, and where the next one begins."""
+    kind, part, after = _element(body, start, order)
     if kind not in VALUES:
         raise ValueError(f"values of the unknown type {kind}")
     stored = np.dtype(order + VALUES[kind])
     if len(part) < count * stored.itemsize:
         raise ValueError(f"{count} values are stated, {len(part) // stored.itemsize} are there")
-    flat = np.frombuffer(part, stored, count)
-    wanted = np.dtype(bool if variable.flags & LOGICAL else CLASSES[variable.kind])
-    return flat.astype(wanted).reshape(variable.shape, order="F")
+    return np.frombuffer(part, stored, count), after
 
 
 def _variable(body: bytes, order: str, compressed: bool) -> tuple[str, Variable]:

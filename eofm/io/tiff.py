@@ -8,6 +8,8 @@ import os
 import re
 import struct
 import zlib
+from collections.abc import Sequence
+from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
 from typing import IO, Any
@@ -20,6 +22,7 @@ from eofm.errors import InputError
 from eofm.io import origin
 from eofm.io.limits import check_size, largest
 from eofm.io.places import check_place, replacing
+from eofm.io.scan import AXES, Scan, micrometres
 
 # Its warnings about damaged files come before our own line on them.
 logging.getLogger("tifffile").setLevel(logging.CRITICAL)
@@ -33,9 +36,14 @@ COMPRESSIONS = (NONE, LZW, PACKED, *DEFLATE)
 # The largest factor by which a deflated strip can grow.
 DEFLATED = 1032
 CHECKSUM = re.compile(r"^sha256=([0-9a-f]{64})$", re.MULTILINE)
+# The first image of an OME-TIFF, and what it says of the distance of its pixels.
+PIXELS = re.compile(r"<(?:\w+:)?Pixels\b[^>]*>")
+PHYSICAL = re.compile(r"\bPhysicalSize([XYZ])(Unit)?\s*=\s*[\"']([^\"']*)")
+# Numerators and denominators of a resolution, well within 32 bits.
+LONGEST = 10**9
 
 
-def read_tiff(name: str) -> NDArray:
+def read_tiff(name: str) -> Scan:
     """The pages of a TIFF that belong together.
 
     Raises
@@ -57,33 +65,94 @@ def read_tiff(name: str) -> NDArray:
             raise InputError(f"{name}: has a colour map; convert it to greyscale first")
         pages = series.asarray(maxworkers=1)
         written = CHECKSUM.search(page.description or "")
+        axes, sizes = _meant(series.axes), _sizes(tiff)
     if written and written[1] != _digest(pages):
         raise InputError(
             f"{name}: is not what was written (its checksum differs); make it again, or save it"
             " from Fiji if the change is meant"
         )
-    return pages
+    return Scan(pages, axes, sizes)
 
 
-def write_tiff(path: Path, pages: NDArray, labels: list[str] | None = None) -> None:
-    """Write float32 pages as ImageJ TIFF, with labels, a checksum and their origin."""
+def write_tiff(
+    path: Path,
+    pages: NDArray,
+    labels: list[str] | None = None,
+    sides: Sequence[float] | None = None,
+) -> None:
+    """Write a float32 image, volume or labelled channels of one as ImageJ TIFF.
+
+    A checksum and the origin go with them, and where they are known the sides of a pixel, um,
+    lateral first, such that Fiji shows them.
+
+    Parameters
+    ----------
+    pages : ndarray
+        Shape ([depth,] height, width), with ``labels`` ([depth,] channels, height, width).
+    """
     check_place(path, "TIFF")
     origin.check_not_read(path)
-    pages = pages.astype(np.float32)
+    pages = np.ascontiguousarray(pages, np.float32)
     metadata: dict[str, Any] = {"sha256": _digest(pages)}
+    ndim = pages.ndim - bool(labels)
     if labels is not None:
-        metadata |= {"axes": "CYX", "Labels": labels}
+        metadata |= {
+            "axes": "ZCYX"[-pages.ndim :],
+            "Labels": labels * (len(pages) if ndim == 3 else 1),
+        }
+    elif ndim == 3:
+        metadata["axes"] = "ZYX"
     if (made := origin.Origin.current()) is not None:
         metadata["Info"] = json.dumps(made.record(), indent=1)
+    resolution = None
+    if sides is not None:
+        resolution = (_resolution(sides[0]), _resolution(sides[1]))
+        metadata |= {"unit": "um"} | ({"spacing": float(sides[2])} if ndim == 3 else {})
     with replacing(path) as temporary:
-        tifffile.imwrite(temporary, pages, imagej=True, metadata=metadata)
+        tifffile.imwrite(temporary, pages, imagej=True, metadata=metadata, resolution=resolution)
+
+
+def _resolution(side: float) -> tuple[int, int]:
+    """Pixels in a micrometre, as the fraction that a TIFF holds."""
+    large = max(side, 1 / side)
+    a, b = Fraction(large).limit_denominator(max(int(LONGEST / large), 1)).as_integer_ratio()
+    return (b, a) if side >= 1 else (a, b)
+
+
+def _meant(axes: str) -> str:
+    """Axes as `Scan` names them; the file may have had pages that mean nothing."""
+    axes = "".join(axis if axis in "TCZYXS" else "Q" for axis in axes)
+    return axes if not axes.startswith("S") else "Q" + axes[1:]
+
+
+def _sizes(tiff: Any) -> dict[str, float]:
+    """Distances of pixels in um that ImageJ or OME state. Dots to the inch are for printers."""
+    page = tiff.pages[0]
+    if tiff.is_ome:
+        image = PIXELS.search(page.description or "")
+        sides = {a + u: v for a, u, v in PHYSICAL.findall(image[0] if image else "")}
+        sizes: dict[str, float] = {}
+        for axis in (axis for axis in AXES if axis in sides):
+            sizes |= micrometres({axis: sides[axis]}, sides.get(f"{axis}Unit", "um"))
+        return sizes
+    if not tiff.is_imagej:
+        return {}
+    said = tiff.imagej_metadata or {}
+    unit = said.get("unit")
+    sizes = micrometres({"Z": said.get("spacing", 1.0)}, said.get("zunit", unit))
+    for axis, tag in (("X", "XResolution"), ("Y", "YResolution")):
+        pixels, units = page.tags[tag].value if tag in page.tags else (0, 0)
+        if pixels:
+            sizes |= micrometres({axis: units / pixels}, said.get(f"{axis.lower()}unit", unit))
+    return sizes
 
 
 def _digest(pages: NDArray) -> str:
     """SHA-256 of the values, whatever the order of their bytes, and of their shape."""
     said = repr((pages.dtype.newbyteorder("<").str, pages.shape)).encode()
-    values = np.ascontiguousarray(pages, pages.dtype.newbyteorder("<"))
-    return hashlib.sha256(said + values.tobytes()).hexdigest()
+    digest = hashlib.sha256(said)
+    digest.update(np.ascontiguousarray(pages, pages.dtype.newbyteorder("<")).data)
+    return digest.hexdigest()
 
 
 def _grey(colours: NDArray | None) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from eofm.errors import InputError
-from eofm.grid import Array
+from eofm.grid import Array, componentwise, precision
 from eofm.imaging.gaussian import gaussians
 from eofm.imaging.splines import evaluate_field
 from eofm.settings import Phantom
@@ -24,22 +24,22 @@ CUT = 7.0
 
 
 def make_phantom(u: Array, settings: Phantom = Phantom()) -> tuple[Array, Array, pd.DataFrame]:
-    """Images of a sample before and after a displacement, and its bubbles.
+    """Images or volumes of a sample before and after a displacement, and its bubbles.
 
     Parameters
     ----------
-    u : ndarray, shape (2, height, width)
+    u : ndarray, shape (2, height, width) or (3, depth, height, width)
         The true displacement, px.
     settings : Phantom
         Number, size, brightness and distance of the bubbles, how they look, noise and seed.
 
     Returns
     -------
-    I1, I2 : ndarray, shape (height, width)
+    I1, I2 : ndarray, shape (height, width) or (depth, height, width)
         Images before and after compression.
     bubbles : DataFrame
         Columns x1, x2 (centres before), u1, u2 (displacements), sigma, all in px, and
-        brightness.
+        brightness; of a volume also x3 and u3.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def make_phantom(u: Array, settings: Phantom = Phantom()) -> tuple[Array, Array,
         )
     place, look, noise = (np.random.default_rng([settings.seed, k]) for k in range(3))
     x = scatter(shape, settings.count, settings.distance, place)
-    motion = evaluate_field(u, x)
+    motion = evaluate_field(u, x).astype(np.float64)
     sigma = look.uniform(*settings.sigma, settings.count)
     brightness = look.uniform(*settings.brightness, settings.count)
 
@@ -73,19 +73,22 @@ def make_phantom(u: Array, settings: Phantom = Phantom()) -> tuple[Array, Array,
         else:
             add = np.add if settings.overlap == "sum" else np.maximum
             I = _stamped(shape, centres, sigma, brightness, strain, add)
-        return settings.base + I + noise.normal(0, settings.noise * brightness.max(), shape)
+        I += settings.base
+        for part in [I] if I.ndim == 2 else I:  # noise has double precision
+            part += noise.normal(0, settings.noise * brightness.max(), part.shape)
+        return I
 
-    columns = {"x1": x[0], "x2": x[1], "u1": motion[0], "u2": motion[1]}
+    columns = {f"x{k}": c for k, c in enumerate(x, 1)}
+    columns |= {f"u{k}": c for k, c in enumerate(motion, 1)}
     bubbles = pd.DataFrame(columns | {"sigma": sigma, "brightness": brightness})
     return image(x), image(x + motion, _gradient(u, x) if settings.strained else None), bubbles
 
 
 def _gradient(u: Array, x: Array) -> Array:
-    """Derivatives d_j u_i of a field at points, shape (2, 2, M), by central differences."""
-    steps = 0.5 * np.eye(2)[..., None]
-    ends = np.reshape(u.shape[:0:-1], (2, 1)) - 1.0
+    """Derivatives d_j u_i of a field at points, shape (ndim, ndim, M), by central differences."""
+    ends = componentwise(u.shape[:0:-1], 1) - 1
     columns = []
-    for step in steps:
+    for step in 0.5 * np.eye(len(u))[..., None]:
         # The field is known inside of the image alone.
         far, near = np.clip(x + step, 0, ends), np.clip(x - step, 0, ends)
         rise = evaluate_field(u, far) - evaluate_field(u, near)
@@ -102,24 +105,24 @@ def _stamped(
     add: np.ufunc,
 ) -> Array:
     """Image of bubbles one by one, each deformed by ``1 + grad u`` at its place if given."""
-    I = np.zeros(shape)
-    for k, (c1, c2) in enumerate(centres.T):
+    I = np.zeros(shape, precision(len(shape)))
+    for k, centre in enumerate(centres.T):
         half = CUT * sigma[k]
-        rows, columns = (
+        box = tuple(
             slice(max(0, int(np.ceil(c - half))), max(0, min(n, int(c + half) + 1)))
-            for c, n in ((c2, shape[0]), (c1, shape[1]))
+            for c, n in zip(centre[::-1], shape, strict=True)
         )
-        x2, x1 = np.mgrid[rows, columns].astype(np.float64)
-        d = np.stack([x1 - c1, x2 - c2])
+        d = np.mgrid[box][::-1] - componentwise(centre, len(shape))
         if strain is not None:
-            d = np.einsum("ij,jkl->ikl", np.linalg.inv(np.eye(2) + strain[:, :, k]), d)
+            inverse = np.linalg.inv(np.eye(len(d)) + strain[:, :, k])
+            d = np.einsum("ij,j...->i...", inverse, d)
         stamp = brightness[k] * np.exp(-(d**2).sum(0) / (2 * sigma[k] ** 2))
-        I[rows, columns] = add(I[rows, columns], stamp)
+        I[box] = add(I[box], stamp)
     return I
 
 
 def scatter(shape: tuple[int, ...], count: int, distance: float, rng: np.random.Generator) -> Array:
-    """Uniformly distributed points at least ``distance`` px apart, shape (2, count).
+    """Uniformly distributed points at least ``distance`` px apart, shape (ndim, count).
 
     Raises
     ------
@@ -127,27 +130,25 @@ def scatter(shape: tuple[int, ...], count: int, distance: float, rng: np.random.
         If there is no room left for a point.
     """
     upper = np.array(shape[::-1]) - 1.0
-    points = np.empty((count, 2))
-    # Points by squares as wide as the distance: only those of nine can be too near.
+    if distance == 0:
+        return rng.uniform(0, upper, (count, len(shape))).T.copy()
+    points = np.empty((count, len(shape)))
+    # Points by squares, or cubes, as wide as the distance: only those beside can be too near.
     side = max(distance, 1.0)
-    squares: defaultdict[tuple[int, int], list[Array]] = defaultdict(list)
+    squares: defaultdict[tuple[int, ...], list[Array]] = defaultdict(list)
     for i in range(count):
         for _ in range(ATTEMPTS):
             points[i] = rng.uniform(0, upper)
-            if distance == 0:
-                break
-            column, row = (int(c) for c in points[i] // side)
-            near = [
-                p
-                for square in product(range(column - 1, column + 2), range(row - 1, row + 2))
-                for p in squares.get(square, ())
-            ]
+            square = tuple(int(c) for c in points[i] // side)
+            beside = product(*(range(k - 1, k + 2) for k in square))
+            near = [p for other in beside for p in squares.get(other, ())]
             if all(math.dist(points[i], p) >= distance for p in near):
-                squares[column, row].append(points[i])
+                squares[square].append(points[i])
                 break
         else:
+            sides = " x ".join(str(n) for n in shape)
             raise InputError(
                 f"found room for only {i} of {count} bubbles {distance:g} px apart in"
-                f" {shape[0]} x {shape[1]} px; lower their number or distance"
+                f" {sides} px; lower their number or distance"
             )
     return points.T

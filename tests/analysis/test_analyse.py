@@ -91,7 +91,8 @@ def test_pixels_that_are_not_square(files, pair, truth):
     for name, I in zip(("before", "after"), pair[:2], strict=True):
         tifffile.imwrite(files / f"{name}.tif", resize(I, half).astype(np.float32))
     ratio = 89 / 44
-    u = analyse(describe(files, lateral_size=ratio), tracking=Tracking(gate=3), estimation=QUICK).u
+    known = describe(files, lateral_size=ratio, axial_size=1.0)
+    u = analyse(known, tracking=Tracking(gate=3), estimation=QUICK).u
     expected = np.stack([resize(c, half) for c in truth])
     expected[0] /= ratio
     assert error(u, expected) < 35
@@ -326,7 +327,8 @@ def test_a_pair_that_has_nothing_in_common_is_told_in_the_results(rng, tmp_path)
 
 
 def test_dead_zones_hold_no_number_in_what_is_written(files, truth):
-    results = analyse(describe(files, mask="10,10 30,10 30,30 10,30"), estimation=QUICK)
+    sides = {"lateral_size": 2.0, "axial_size": 2.0}
+    results = analyse(describe(files, mask="10,10 30,10 30,30 10,30", **sides), estimation=QUICK)
     results.write(files)
     for name in ("displacement", "displacement_um", "strain", "deviation", "trust"):
         written = tifffile.imread(files / f"{name}.tif")

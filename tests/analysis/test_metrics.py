@@ -44,3 +44,18 @@ def test_errors_in_pixels():
         "max_true_u1": 7,
         "max_true_u2": 4,
     }
+
+
+def test_volumes_add_a_third_component(rng):
+    u = rng.normal(size=(3, 4, 5, 6)).astype(np.float32)
+    estimate = u.copy()
+    estimate[2] *= 1.5
+    found = relative_errors(estimate, u)
+    assert found["e_rel_u3"] == pytest.approx(50)
+    assert found["e_rel_u1"] == 0
+    assert found["e_rel"] == pytest.approx(50 * np.linalg.norm(u[2]) / np.linalg.norm(u))
+    assert found["max_error_u3"] == pytest.approx(0.5 * abs(u[2]).max())
+    errors = pixel_errors(estimate, u)
+    assert errors["median_error"] == pytest.approx(0.5 * np.median(abs(u[2])))
+    assert errors["max_true_u3"] == pytest.approx(abs(u[2]).max())
+    assert list(errors)[:4] == ["max_error_u1", "max_error_u2", "max_error_u3", "median_error"]

@@ -1,7 +1,7 @@
 import numpy as np
 from conftest import speckle
 
-from eofm.analysis.quality import data_share, inconsistency, residual
+from eofm.analysis.quality import _smallest, data_share, inconsistency, residual
 
 STILL = np.zeros((2, 30, 40))
 
@@ -48,3 +48,34 @@ def test_strains_are_inverted_up_to_the_edges():
     error = inconsistency(there, back)
     assert np.isfinite(error[:, 20])[:-1].all()
     np.testing.assert_allclose(error[np.isfinite(error)], 0, atol=1e-12)
+
+
+def test_smallest_eigenvalues_are_those_of_numpy(rng):
+    B = rng.normal(size=(200, 3, 3))
+    B[:20, 2] = B[:20, 1]
+    A = B @ B.transpose(0, 2, 1)
+    A[20:23] = np.diag([2.0, 2.0, 2.0]), np.diag([0.0, 0.0, 0.0]), np.diag([1.0, 5.0, 5.0])
+    parts = A[:, 0, 0], A[:, 0, 1], A[:, 0, 2], A[:, 1, 1], A[:, 1, 2], A[:, 2, 2]
+    np.testing.assert_allclose(_smallest(*parts), np.linalg.eigvalsh(A)[:, 0], atol=1e-7)
+
+
+def test_volumes_say_where_the_data_decide(rng):
+    I = np.zeros((24, 30, 60), np.float32)
+    I[..., :30] = speckle((24, 30, 30), rng)
+    # What does not change from slice to slice says nothing of the motion across them.
+    I[..., 30:] = speckle((30, 30), rng)
+    nowhere = np.zeros(I.shape, bool)
+    share = data_share(I, "gradient", 0.02, 3.0, (1.0, 1.0, 1.0), nowhere)
+    assert share.dtype == np.float32
+    assert np.median(share[8:16, 8:22, 5:22]) > 0.3
+    assert share[8:16, 8:22, 42:56].max() < 0.05
+
+
+def test_volumes_moved_there_and_back_are_consistent(rng):
+    I = speckle((12, 20, 16), rng).astype(np.float32)
+    there = np.zeros((3, *I.shape), np.float32) + np.reshape([2, -1, 1], (3, 1, 1, 1))
+    error = inconsistency(there, -there)
+    assert np.isnan(error[-1]).all()
+    np.testing.assert_allclose(error[:-1, 1:, :-2], 0, atol=1e-5)
+    left = residual(I, np.roll(I, 1, axis=0), there * np.reshape([0, 0, 1], (3, 1, 1, 1)))
+    np.testing.assert_allclose(left[2:-2], 0, atol=1e-4)

@@ -43,3 +43,24 @@ def test_a_window_below_a_pixel_is_refused():
 def test_compression_is_negative():
     x2, _ = np.mgrid[:20, :20].astype(float)
     assert strain(np.stack([0 * x2, -0.02 * x2]), (5.0, 5.0), 10)[1].max() < -0.0199
+
+
+def test_six_components_of_a_volume_are_exact_for_linear_displacements(rng):
+    G = rng.normal(size=(3, 3))
+    sides = 4.0, 2.0, 5.0
+    x = np.stack(np.mgrid[:20, :30, :40][::-1]).astype(float)
+    lengths = np.reshape(sides, (3, 1, 1, 1))
+    u = np.einsum("ij,j...->i...", G, x * lengths) / lengths
+    e = strain(u.astype(np.float32), sides, 15.0)
+    assert e.dtype == np.float32
+    shear = [(G[i, j] + G[j, i]) / 2 for i, j in ((0, 1), (0, 2), (1, 2))]
+    expected = np.reshape([*np.diag(G), *shear], (6, 1, 1, 1))
+    np.testing.assert_allclose(e, np.broadcast_to(expected, e.shape), atol=2e-5)
+
+
+def test_a_volume_that_goes_on_as_an_image_has_the_image_s_strain(rng):
+    u = rng.normal(size=(2, 30, 40))
+    volume = np.concatenate([u, 0 * u[:1]])[:, None].repeat(9, axis=1)
+    e = strain(volume, (3.0, 2.0, 7.0), 10.0)
+    np.testing.assert_allclose(e[[0, 1, 3], 4], strain(u, (3.0, 2.0), 10.0), atol=1e-6)
+    np.testing.assert_allclose(e[[2, 4, 5]], 0, atol=1e-6)

@@ -67,9 +67,9 @@ def test_an_interrupted_sample_leaves_the_results_as_they_were(scans, results, t
     command = words(scans, folder, "--tolerance", 4)
     # Interrupted when half of its files are written.
     code = (
-        "import sys, time, eofm.app.cli as cli, eofm.analysis.report as r; save = r.figures.save\n"
+        "import sys, time, eofm.app.cli as cli, eofm.analysis.figures as f; save = f.save\n"
         "def slow(*a): save(*a); print('half', flush=True); time.sleep(20)\n"
-        "r.figures.save = slow; sys.exit(cli.main(sys.argv[1:]))"
+        "f.save = slow; sys.exit(cli.main(sys.argv[1:]))"
     )
     step = subprocess.Popen([sys.executable, "-c", code, *command], stdout=subprocess.PIPE)
     assert step.stdout.readline() == b"half\n"

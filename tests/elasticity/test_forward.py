@@ -9,11 +9,11 @@ from eofm.elasticity.forward import (
     deform,
     displacement,
     graded_basis,
-    lame,
     make_basis,
     solve_positive,
     stiffness_matrix,
 )
+from eofm.elasticity.material import lame
 from eofm.grid import unit_spacing
 from eofm.settings import Forward, Inclusion, Sample
 

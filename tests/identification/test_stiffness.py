@@ -11,7 +11,7 @@ from eofm.errors import InputError
 from eofm.flow.estimate import estimate_displacement
 from eofm.flow.functional import Pointwise
 from eofm.flow.known import Known
-from eofm.grid import FACES
+from eofm.grid import faces
 from eofm.identification.inversion import Inversion
 from eofm.identification.stiffness import identify_stiffness
 from eofm.threads import serial
@@ -108,11 +108,11 @@ def test_a_part_of_a_sample_shows_its_disc():
     I1, I2, u = pair()
     part = np.s_[6:44, 10:62]
     sample = PLAIN.changed(height=38, width=52)
-    found = identify_stiffness(I1[part], I2[part], sample, known=Known(outside=tuple(FACES)))
+    found = identify_stiffness(I1[part], I2[part], sample, known=Known(outside=tuple(faces(2))))
     x2, x1 = np.mgrid[part]
     disc = np.hypot(x1 - DISC.x1, x2 - DISC.x2) < DISC.radius
     assert not found.refused
-    assert found.problem.model.loose == tuple(FACES)
+    assert found.problem.model.loose == tuple(faces(2))
     contrast = np.median(found.E[disc]) / np.median(found.E[~disc])
     assert 2.5 < contrast < 8
     alone = estimate_displacement(I1[part], I2[part])

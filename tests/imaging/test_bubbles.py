@@ -186,3 +186,55 @@ def test_bubbles_along_the_last_column_stay_inside(rng):
     found = tracker.detect(I, eofm.Tracking(smoothing=0.0, min_area=1))
     assert len(found) > 50
     assert found.x1.max() == 19
+
+
+def affine(x):
+    """A small motion of points, shape (3, ...)."""
+    A = np.array([[0.02, -0.01, 0.01], [0.01, -0.03, 0.0], [-0.01, 0.02, 0.025]])
+    return np.tensordot(A, x, 1) + np.reshape([0.3, 0.2, -0.4], (3, *[1] * (x.ndim - 1)))
+
+
+def test_bubbles_of_a_volume_move_as_it_does():
+    """Translated, stretched and sheared, with 1 % of noise."""
+    shape = (34, 40, 46)
+    u = affine(np.indices(shape)[::-1])
+    settings = eofm.Phantom(count=70, sigma=(1.5, 1.8), distance=7, noise=0.01, seed=2)
+    I1, I2, bubbles = eofm.make_phantom(u, settings)
+    table = eofm.track(I1, I2)
+    names = ["x1", "x2", "x3", "u1", "u2", "u3", "area", "brightness", "quality"]
+    assert list(table) == names
+    assert len(table) > 55
+    x, motion = (table[[f"{a}{k}" for k in (1, 2, 3)]].to_numpy().T for a in "xu")
+    errors = motion - affine(x)
+    assert np.sqrt((errors**2).mean()) < 0.02
+    assert abs(errors).max() < 0.1
+    # Areas are those of discs: of Gaussians of 1.65 px, smoothed, above 10 %.
+    expected = np.pi * 2 * (1.65**2 + 0.7**2) * np.log(10)
+    assert table.area.median() == pytest.approx(expected, rel=0.15)
+    true = bubbles[["x1", "x2", "x3"]].to_numpy()
+    assert KDTree(true).query(x.T)[0].max() < 1
+    predicted = eofm.track(I1, I2, prediction=u)
+    assert len(predicted) >= len(table)
+
+
+def test_no_motion_of_a_volume_gives_zero(rng):
+    I = speckle((16, 21, 24), rng)
+    table = eofm.track(I, I)
+    assert len(table) > 10
+    np.testing.assert_allclose(table[["u1", "u2", "u3"]], 0, atol=1e-6)
+    np.testing.assert_allclose(table.quality, 1, atol=1e-6)
+
+
+def test_volumes_without_bubbles_say_so(rng):
+    I = rng.uniform(size=(8, 9, 10))
+    with pytest.raises(eofm.InputError, match=r"no bubble found in the volume before"):
+        eofm.track(I, I, eofm.Tracking(min_area=500, max_area=501))
+    with pytest.raises(eofm.InputError, match="window: 12 px is wider than the volume, 10 x 9 x 8"):
+        eofm.track(I, I, eofm.Tracking(window=12))
+
+
+def test_matching_in_a_volume_looks_along_all_axes():
+    before = frame([(10.0, 10), (10, 10)]).assign(x3=[5.0, 9.0])
+    after = frame([(10.0, 10), (10, 10)]).assign(x3=[10.0, 6.0])
+    i, j = assign(before, after, np.full((3, 2), [[0.0], [0], [1]]), gate=1.0)
+    assert dict(zip(i, j, strict=True)) == {0: 1, 1: 0}

@@ -1,13 +1,14 @@
 """Other tools for the same task, each as a function of two images.
 
-The images have intensities of about [0, 1], as `eofm.imaging.splines.normalise` returns them, and
-the result ``u``, shape (2, height, width) in px, satisfies ``I2(x + u(x)) = I1(x)`` with
-component 0 lateral and component 1 axial, as everywhere in eofm.
+The images, or volumes, have intensities of about [0, 1], as `eofm.imaging.intensity.normalise`
+returns them, and the result ``u``, shape (2, height, width) or (3, depth, height, width) in px, has
+``I2(x + u(x)) = I1(x)`` with component 0 lateral and component 1 axial, as everywhere in eofm.
 
 Each tool has one setting for all pairs: of several, the one with the least errors over
 three pairs, dense speckle of 256 x 256 px with 5 % noise and a motion of 6 px, the paper's
-phantom, and dense speckle with 5 % noise that moves as that phantom does. Every tool runs
-on one thread: their times compare, and their results do not depend on the machine's cores.
+phantom, and dense speckle with 5 % noise that moves as that phantom does. For volumes they are in
+VOLUMES, chosen in the same way on two of 80 x 80 x 80 voxels that nothing else uses. Every tool
+runs on one thread: their times compare, and their results do not depend on the machine's cores.
 Libraries are imported where they are used, for most are optional: ``pip install '.[peers]'``.
 
 pyxel-dic requires opencv-python, and the OpenCV with DeepFlow is opencv-contrib-python-headless:
@@ -16,6 +17,7 @@ the latter again (``pip install --force-reinstall --no-deps opencv-contrib-pytho
 """
 
 from collections.abc import Callable
+from functools import partial
 from tempfile import TemporaryDirectory
 
 import numpy as np
@@ -26,6 +28,9 @@ from scipy.interpolate import interpn
 from eofm.imaging.splines import resize, resize_field
 
 Array = NDArray[np.float64]
+
+# Voxels between two nodes of al-dvc.
+NODES = 8
 
 
 def tvl1(I1: Array, I2: Array, attachment: float = 15.0, blur: float = 1.0) -> Array:
@@ -41,14 +46,14 @@ def tvl1(I1: Array, I2: Array, attachment: float = 15.0, blur: float = 1.0) -> A
     return optical_flow_tvl1(*smooth, attachment=attachment, dtype=np.float64)[::-1]
 
 
-def ilk(I1: Array, I2: Array) -> Array:
+def ilk(I1: Array, I2: Array, radius: int = 10) -> Array:
     """scikit-image's iterative Lucas-Kanade, with a Gaussian window of radius 10 px.
 
     Smaller windows (5, 7, 8) often see no bubble, larger ones (15) blur the inclusion.
     """
     from skimage.registration import optical_flow_ilk
 
-    return optical_flow_ilk(I1, I2, radius=10, gaussian=True, dtype=np.float64)[::-1]
+    return optical_flow_ilk(I1, I2, radius=radius, gaussian=True, dtype=np.float64)[::-1]
 
 
 def dis(I1: Array, I2: Array, finest_scale: int = 0, blur: float = 0.0) -> Array:
@@ -75,7 +80,7 @@ def deepflow(I1: Array, I2: Array) -> Array:
     return _components(optflow.createOptFlow_DeepFlow().calc(_bytes(I1), _bytes(I2), None))
 
 
-def elastix(I1: Array, I2: Array) -> Array:
+def elastix(I1: Array, I2: Array, knots: int = 16) -> Array:
     """B-splines of elastix, knots 16 px apart on the finest of 4 levels, mean squares.
 
     Its adaptive stochastic descent on a sixteenth of the pixels, but at least 2048, as a
@@ -89,7 +94,7 @@ def elastix(I1: Array, I2: Array) -> Array:
     values = settings.GetDefaultParameterMap("bspline", 4)
     values["Registration"] = ["MultiResolutionRegistration"]
     values["Metric"] = ["AdvancedMeanSquares"]
-    values["FinalGridSpacingInPhysicalUnits"] = ["16"]
+    values["FinalGridSpacingInPhysicalUnits"] = [str(knots)]
     values["GridSpacingSchedule"] = ["8", "4", "2", "1"]
     values["MaximumNumberOfIterations"] = ["500"]
     values["NumberOfSpatialSamples"] = [str(max(2048, I1.size // 16))]
@@ -105,7 +110,7 @@ def elastix(I1: Array, I2: Array) -> Array:
     return _components(np.asarray(u))
 
 
-def demons(I1: Array, I2: Array) -> Array:
+def demons(I1: Array, I2: Array, field: float = 2.5, update: float = 2.0) -> Array:
     """SimpleITK's fast symmetric demons on 4 levels, 100 iterations each.
 
     Gaussians of 2.5 px smooth the field and of 2 px its update: 1 to 2 px follow the noise,
@@ -121,10 +126,10 @@ def demons(I1: Array, I2: Array) -> Array:
     method = sitk.FastSymmetricForcesDemonsRegistrationFilter()
     method.SetNumberOfThreads(1)
     method.SetNumberOfIterations(100)
-    method.SetStandardDeviations(2.5)
+    method.SetStandardDeviations(field)
     method.SetSmoothUpdateField(True)
-    method.SetUpdateFieldStandardDeviations(2.0)
-    u = np.zeros((2, *I1.shape))
+    method.SetUpdateFieldStandardDeviations(update)
+    u = np.zeros((I1.ndim, *I1.shape))
     for level in (3, 2, 1, 0):
         shape = tuple(max(8, -(-n // 2**level)) for n in I1.shape)
         start = image(np.moveaxis(resize_field(u, shape), 0, -1), vector=True)
@@ -161,15 +166,43 @@ def pyxel(I1: Array, I2: Array) -> Array:
     return interpn((x2, x1), u, np.mgrid[:height, :width].T).T
 
 
+def aldvc(I1: Array, I2: Array, subset: int = 16, step: int = NODES) -> Array:
+    """Augmented Lagrangian digital volume correlation of al-dvc; NaN but at its nodes.
+
+    Subsets of 16 voxels, as in the accuracy that it publishes.
+    """
+    from al_dvc import dvcpara_default, run_aldvc
+
+    settings = dvcpara_default(
+        winsize=subset, winstepsize=step, n_threads=1, backend="numba", verbose=False
+    )
+    found = run_aldvc(settings, [I1, I2], compute_strain=False)
+    u = np.full((3, *I1.shape), np.nan)
+    at = np.rint(found.dvc_mesh.coordinates).astype(int).T[::-1]
+    u[:, *at] = found.result_disp[0].U.T
+    return u
+
+
 TOOLS: dict[str, Callable[..., Array]] = {
     tool.__name__: tool for tool in (tvl1, ilk, dis, deepflow, elastix, demons, pyxel)
 }
 
 
+# Those for volumes, with their settings.
+VOLUMES: dict[str, Callable[..., Array]] = {
+    "tvl1": tvl1,
+    "ilk": partial(ilk, radius=7),
+    "elastix": partial(elastix, knots=16),
+    "demons": partial(demons, field=1.5, update=1.5),
+    "aldvc": aldvc,
+}
+
+
 def estimate(tool: str, I1: Array, I2: Array, **setting: float) -> Array | None:
     """Displacement by the tool of a name; None where its library is not installed."""
+    tools = TOOLS if I1.ndim == 2 else VOLUMES
     try:
-        return TOOLS[tool](I1, I2, **setting)
+        return tools[tool](I1, I2, **setting)
     except ImportError as error:
         print(f"{tool}: not installed ({error})")
         return None

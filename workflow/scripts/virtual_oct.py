@@ -5,12 +5,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.contour import ContourSet
+from matplotlib.collections import LineCollection
 from matplotlib.patches import Circle
 
 from eofm import io
 from eofm.analysis.figures import compare_errors, compare_fields, image_pair, save
 from eofm.analysis.metrics import pixel_errors
+from eofm.analysis.panels import scale
 from eofm.grid import Array
 from eofm.settings import Figures
 
@@ -42,10 +43,10 @@ def natural_places(axis: Axes, standard: Array, eofm: Array) -> list[Array]:
     """
     places: list[Array] = []
     last = np.array(standard.shape[::-1]) - 1
-    lines = [c for c in axis.collections if isinstance(c, ContourSet)]
-    ends = [s[i] for c in lines for level in c.allsegs for s in level for i in (0, -1)]
+    lines = [c for c in axis.collections if isinstance(c, LineCollection)]
+    ends = [line[i] for c in lines for line in c.get_segments() for i in (0, -1)]
     for end in ends:
-        x = np.rint(end / settings.pixel_size).astype(int)
+        x = np.rint(end / scale(settings, 2)).astype(int)
         for i in (0, 1):
             if min(x[i], last[i] - x[i]) > 1:
                 continue
