@@ -59,7 +59,7 @@ class Run:
 
     def end(self, process):
         """Wait for the end, and return its status and all that it said."""
-        said = process.communicate(timeout=300)[1]
+        said = process.communicate(timeout=1800)[1]
         return process.returncode, said
 
     def states(self):
@@ -68,7 +68,7 @@ class Run:
 
     def wait_for_a_row(self, process):
         """Wait until a row is at work; return its process."""
-        for _ in range(2000):
+        for _ in range(12000):
             if found := self.jobs("spawn_main"):
                 return found[0]
             assert process.poll() is None, self.end(process)
