@@ -578,8 +578,11 @@ class Pair(Measures, Scale):
 class Figures(Section):
     """How the figures look."""
 
-    pixel_size: tuple[Positive, Positive] | tuple[Positive, Positive, Positive] = Field(
-        (5.0, 5.0), description="lateral, axial (and elevational) side of a pixel, um"
+    pixel_size: tuple[Positive, ...] = Field(
+        (5.0, 5.0),
+        min_length=2,
+        max_length=3,
+        description="lateral, axial (and elevational) side of a pixel, um",
     )
     unit: Literal["um", "px"] = Field("um", description="of positions and displacements")
     levels: int = Field(12, ge=2, le=50, description="number of level lines in a panel")

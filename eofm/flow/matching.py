@@ -1,5 +1,6 @@
 """How well a displacement carries one image onto the other, to first order."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -25,6 +26,8 @@ NEIGHBOURS = np.s_[:-1], np.s_[1:]
 BRIGHTNESS, NOISE = 12.0, 6.0
 # Least local contrast and variance, as a part of the image's: black is not to be raised.
 LEAST_CONTRAST, LEAST_VARIANCE = 0.02, 0.2
+# Least part of a gradient that both images are taken to share.
+LEAST_SHARE = 0.05
 # Squared residuals count among a local variance up to so many of it, and are outliers from there.
 CLIPPED, OUTLIER = 9.0, 20.0
 
@@ -101,11 +104,31 @@ class Match:
         width = WHITE * self.whiteness if width is None else width
         if width < SHARP:
             return self
-        mask = self.used.astype(self.r.dtype)
-        share = np.maximum(blur(mask, width), 1e-6)
-        g, r = np.empty_like(self.g), np.empty_like(self.r)
-        for f, smooth in zip((*self.g, self.r), (*g, r), strict=True):
-            np.divide(blur(f * mask, width), share, out=smooth)
+        g, r = _smooth((self.g, self.r[None]), self.used, width)
+        return replace(self, g=g, r=r[0])
+
+    def shared(self, g1: Array, width: float | None) -> "Match":
+        """Return the same, filtered, with the gradient that both images are expected to have.
+
+        The product of the noise of a warped image and of its gradient has a mean, for the
+        noise that a spline lets through depends on where between the pixels it is taken.
+        That would pull motions; as far as noise is white, g is the gradient of I1 alone,
+        ``g1``, else the mean ``g``. It is then multiplied by the part of its square that
+        gradients of both images have in common around a pixel, as in a regression whose
+        regressors are uncertain (Carroll and others, Measurement Error in Nonlinear Models,
+        2006, ch. 4): noise is no structure, and would promise a motion that is known better.
+        """
+        white, g, g2 = self.whiteness, g1, 2 * self.g
+        g2 -= g1
+        r, width = self.r, WHITE * white if width is None else width
+        if width >= SHARP:
+            g, g2, (r,) = _smooth((g1, g2, r[None]), self.used, width)
+        around = Window(self.used, NOISE)
+        common = around.mean(_dot(g, g2))
+        g = 0.5 * ((1 + white) * g + (1 - white) * g2)
+        own = around.mean(_dot(g, g))
+        common /= own + LEAST_VARIANCE * LEAST_SHARE * own.mean() + TINY
+        g *= np.clip(common, LEAST_SHARE, 1, out=common)
         return replace(self, g=g, r=r)
 
     @cached_property
@@ -170,21 +193,12 @@ class ImagePair:
         return self._linearise(u)[0]
 
     def linearise_near(self, u: Array, denoising: float | None) -> Match:
-        """Return the same about a field whose residual is noise: filtered and weighed.
-
-        The product of the noise of a warped image and of its gradient has a mean, for the
-        noise that a spline lets through depends on where between the pixels it is taken.
-        That would pull motions; as far as noise is white, g is the gradient of I1 alone.
-        """
-        match, g, contrast = self._linearise(u)
+        """Return the same about a field whose residual is noise: filtered and weighed."""
+        match, g1, contrast = self._linearise(u)
         if not self.robust:
             return match.filtered(denoising)
-        if self.mean and (white := match.whiteness):
-            mixed = np.multiply(match.g, 1 - white, out=match.g)
-            g *= white
-            mixed += g
-            match = replace(match, g=mixed)
-        return match.filtered(denoising).weighed(contrast)
+        shared = match.shared(g1, denoising) if self.mean else match.filtered(denoising)
+        return shared.weighed(contrast)
 
     def _linearise(self, u: Array) -> tuple[Match, Array, Array]:
         """Images linearised about a displacement, the gradient of I1, and local contrast."""
@@ -227,6 +241,18 @@ def brightness(I1: Array, warped: Array, used: Mask) -> tuple[Array, Array, Arra
     (mean1, contrast1), (mean2, contrast2) = moments(I1), moments(warped)
     gain = contrast2 / contrast1
     return gain, mean2 - gain * mean1, contrast2
+
+
+def _smooth(fields: Sequence[Array], used: Mask, width: float) -> list[Array]:
+    """Gaussian averages over the pixels that are used, of stacks of fields."""
+    mask = used.astype(fields[0].dtype)
+    share = np.maximum(blur(mask, width), 1e-6)
+    return [np.stack([blur(f * mask, width) / share for f in stack]) for stack in fields]
+
+
+def _dot(f: Array, g: Array) -> Array:
+    """Product of vectors at each pixel."""
+    return np.einsum("c...,c...->...", f, g)
 
 
 def _variances(variance: Array, squares: Array, least: float) -> tuple[float, float]:
