@@ -83,7 +83,7 @@ def write_results(
 
 
 def _write_vti(results: Analysis, folder: Path) -> None:
-    """All fields on the first frame, lengths in the unit of its sides: ParaView may warp by them."""
+    """All fields on the first frame, lengths in the unit of its sides, which warping asks for."""
     n = results.first.ndim
     unit = "um" if results.summary["pixel_size_from"] else "px"
     side = componentwise(results.pixel_size if unit == "um" else (1.0,) * n, n)
