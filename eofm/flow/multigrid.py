@@ -194,17 +194,16 @@ class Level:
     def correct(self, b: Real, visits: int = 1) -> Real:
         """Field close to K^-1 b: linear, symmetric and positive definite in b."""
         for visit in range(visits):
-            self._smooth(b, visit == 0)
+            self._smooth(b, from_zero=visit == 0)
             self.loops.restrict(self.b, b, self.x, self.transfer, self.operator)
             e = self.coarse.correct(self.b, self.visits)
             self.loops.prolong(self.x, e, self.operator.free, self.transfer)
-            self._smooth(b, False)
+            self._smooth(b, from_zero=False)
         return self.x
 
     def _smooth(self, b: Real, from_zero: bool) -> None:
-        for step in range(1, self.degree + 1):
-            self.loops.chebyshev(self.y, self.x, b, step, from_zero and step == 1, self.operator)
-            self.x, self.y = self.y, self.x
+        steps, smooth = range(1, self.degree + 1), self.loops.smooth
+        self.x, self.y = smooth(self.x, self.y, b, steps, from_zero, self.operator)
 
 
 class Coarsest:
