@@ -342,7 +342,8 @@ def _rigid_energy(F: Quadratic, stiffness: float) -> Array:
 
     def energy(A: Array | Mask) -> Array:
         """From the moments of A, slice by slice: sums in double precision."""
-        moments = np.stack([powers[1] @ a @ powers[0].T for a in A.reshape(-1, *A.shape[-2:])])
+        slices = (a.astype(np.float64, copy=False) for a in A.reshape(-1, *A.shape[-2:]))
+        moments = np.stack([powers[1] @ a @ powers[0].T for a in slices])
         for further in powers[2:]:
             moments = np.tensordot(further, moments, 1)
         moments = moments.reshape([3] * n)
