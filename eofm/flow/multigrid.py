@@ -278,7 +278,9 @@ def hierarchy(F: Quadratic) -> Level | Coarsest:
         )
     double = own == np.float64 and (operator.bending or contrast > SINGLE)
     precision = np.float64 if double else np.float32
-    average = contrast <= AVERAGE[free.ndim][F.smoothness] and free[*[slice(1, -1)] * free.ndim].all()
+    average = (
+        contrast <= AVERAGE[free.ndim][F.smoothness] and free[*[slice(1, -1)] * free.ndim].all()
+    )
     couplings = 0 if average else COUPLINGS[free.ndim]
 
     levels: list[tuple[Operator, Transfer]] = []

@@ -176,7 +176,7 @@ def read(path):
     if path.suffix == ".csv":
         columns = ("e_rel",) if path.name == "errors.csv" else io.BUBBLE_COLUMNS
         return io.read_columns(path, columns).to_numpy()
-    return io.formats.read_array(path)
+    return io.formats.read_array(path).values
 
 
 @pytest.mark.parametrize("name", ["u.tif", "E.tif", "bubbles.csv", "errors.csv"])

@@ -11,9 +11,9 @@ from scipy.ndimage import gaussian_filter
 
 from eofm.compiled import use_threads
 from eofm.errors import InputError
-from eofm.flow import operator as tables
 from eofm.flow.functional import Pointwise, Quadratic, pairs
 from eofm.flow.multigrid import LOOPS, Level, NotConverged, hierarchy, multigrid
+from eofm.flow.operator import M
 from eofm.grid import Grid
 
 SMOOTHNESS = ("gradient", "bending")
@@ -176,7 +176,7 @@ def test_coarse_grid_has_the_energy_of_what_it_interpolates(shape):
         """That of the pointwise term alone."""
         axes = tuple(np.zeros_like(X) for X in operator.axes)
         for X, own in zip(axes, operator.axes, strict=True):
-            X[tables.M] = own[tables.M]
+            X[M] = own[M]
         q = np.empty(inner(u).shape)
         return loops.product(q, u, operator._replace(axes=axes)).sum()
 

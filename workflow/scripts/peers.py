@@ -6,8 +6,8 @@ returns them, and the result ``u``, shape (2, height, width) or (3, depth, heigh
 
 Each tool has one setting for all pairs: of several, the one with the least errors over
 three pairs, dense speckle of 256 x 256 px with 5 % noise and a motion of 6 px, the paper's
-phantom, and dense speckle with 5 % noise that moves as that phantom does. For volumes they are in
-VOLUMES, chosen in the same way on two of 80 x 80 x 80 voxels that nothing else uses. Every tool
+phantom, and dense speckle with 5 % noise that moves as that phantom does. Those for volumes are in
+VOLUMES, and not tuned yet. Every tool
 runs on one thread: their times compare, and their results do not depend on the machine's cores.
 Libraries are imported where they are used, for most are optional: ``pip install '.[peers]'``.
 
