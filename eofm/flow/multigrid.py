@@ -44,7 +44,7 @@ FEW, THIN = 330, 3
 # volumes couplings cost more: half the time of an iteration, and 25 bytes a voxel.
 AVERAGE = {
     2: {"gradient": 1.0, "bending": 0.02},
-    3: {"gradient": 5.0, "bending": 0.06},
+    3: {"gradient": 5.0, "bending": 0.04},
 }
 # The same, for which few steps of the smoother do.
 CONTRAST = 50.0

@@ -22,17 +22,10 @@ M, SA, SB, SC, SD, SE, TB, TC, TD, S_SUM, T_SUM = range(11)
 def axis_table(n: int, h: float, alpha: float, bending: bool) -> Array:
     """Factors along one axis of alpha R, shape (11, n).
 
-    <<<<<<< HEAD
-    That is ``M2 x S1 + S2 x M1 + T2 x T1`` or, in volumes, ``M3 x M2 x S1 + M3 x T2 x T1`` and
-    what the other orders of the axes make of it. M holds the trapezoidal weights. S is
-    ``alpha int u' v'`` and T zero for the gradient; for bending S is ``alpha int u'' v''`` and T is
-    ``sqrt(2 alpha) int u' v'``.
-    =======
     That is ``M2 x S1 + S2 x M1 + T2 x T1`` or, in volumes, ``M3 x M2 x S1 + M3 x T2 x T1`` and what
     the other orders of the axes make of it. M holds the trapezoidal weights. S is
     ``alpha int u' v'`` and T zero for the gradient; for bending S is ``alpha int u'' v''`` and T
     is ``sqrt(2 alpha) int u' v'``.
-    >>>>>>> main
     """
 
     def bands(difference: tuple[float, ...]) -> Array:
