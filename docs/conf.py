@@ -50,7 +50,7 @@ sphinx_gallery_conf = {
     "gallery_dirs": "gallery",
     "filename_pattern": "/plot_",
     "within_subsection_order": "FileNameSortKey",
-    "run_stale_examples": changed_code(HERE.parent / "eofm", HERE / "_build/code.txt"),
+    "run_stale_examples": changed_code(HERE.parent / "eofm", HERE),
     "abort_on_example_error": True,
     "backreferences_dir": "gallery/backreferences",
     "doc_module": ("eofm",),
@@ -64,7 +64,7 @@ sphinx_gallery_conf = {
     "download_all_examples": False,
     "nested_sections": False,
     "min_reported_time": 3600,
-    "thumbnail_size": (560, 380),
+    "thumbnail_size": (560, 300),
     "write_computation_times": False,
 }
 

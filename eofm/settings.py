@@ -61,10 +61,11 @@ Spread = Annotated[Range, AfterValidator(_spread)]
 FileName = Annotated[
     str, BeforeValidator(lambda name: str(name) if isinstance(name, Path) else name)
 ]
-Region = tuple[int, int, int, int]
+# First pixel and size of a part of an image, or of a volume, lateral first.
+Region = tuple[int, int, int, int] | tuple[int, int, int, int, int, int]
 
 # How the motion of an edge is said.
-EDGE_WORDS = "free, fixed, moved U1 U2 [um], moved FILE, or outside"
+EDGE_WORDS = "free, fixed, moved U1 U2 [U3] [um], moved FILE, or outside"
 
 
 class Section(BaseModel):
@@ -524,12 +525,14 @@ class Pair(Measures, Scale):
         "linear", description="use the values as they are, or their logarithm"
     )
     roi: Region | None = Field(
-        None, description="region of interest: x1, x2, width and height, px; none: all"
+        None,
+        description="region of interest: x1, x2, width and height, px (of all slices of a volume),"
+        " or x1, x2, x3, width, height and depth; none: all",
     )
     mask: FileName | None = Field(
         None,
-        description="dead zones without data: an image that is not 0 there, or the corners"
-        " of a polygon, 'x1,x2 x1,x2 x1,x2', px of the whole image",
+        description="dead zones without data: an image or volume that is not 0 there, or the"
+        " corners of a polygon, 'x1,x2 x1,x2 x1,x2', px of the whole image or of all slices",
     )
     top: str = Field(
         "free",
@@ -540,6 +543,8 @@ class Pair(Measures, Scale):
     bottom: str = Field("free", description="the same")
     left: str = Field("free", description="the same")
     right: str = Field("free", description="the same")
+    front: str = Field("free", description="the same, of a volume's first slice")
+    back: str = Field("free", description="the same, of its last slice")
     background: str = Field(
         "none", description="none, elastic (of a homogeneous sample), or a field in px (TIFF)"
     )
@@ -563,8 +568,10 @@ class Pair(Measures, Scale):
             raise ValueError("reference and deformed: give both, or frames instead")
         if (self.reference is None) == (self.frames is None):
             raise ValueError("reference: wants reference and deformed, or frames, not both")
-        if self.roi and min(self.roi[2:]) < 8:
-            raise ValueError(f"roi: is {self.roi[2]} x {self.roi[3]} px; wants at least 8 x 8 px")
+        sides = self.roi[len(self.roi) // 2 :] if self.roi else (8,)
+        if min(sides) < 8:
+            said, least = (" x ".join(map(str, n)) for n in (sides, [8] * len(sides)))
+            raise ValueError(f"roi: is {said} px; wants at least {least} px")
         return self
 
 

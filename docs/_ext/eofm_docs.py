@@ -35,14 +35,31 @@ Settings of the tools that figures compare with, from `workflow/scripts/peers.py
 """
 
 
-def changed_code(folder: Path, record: Path) -> bool:
-    """Whether the sources of a folder differ from those of the last time this was asked."""
+# Pages that may be missing.
+PERHAPS = ("formats", "reliability")
+
+# What the sources of the library were when the examples last ran.
+RECORD = "_build/code.txt"
+
+
+def state(folder: Path) -> str:
+    """Checksum of the sources of a folder."""
     parts = (path.read_bytes() for path in sorted(folder.rglob("*.py")))
-    now = hashlib.sha256(b"".join(parts)).hexdigest()
-    before = record.read_text() if record.exists() else ""
-    record.parent.mkdir(parents=True, exist_ok=True)
-    record.write_text(now)
-    return before != now
+    return hashlib.sha256(b"".join(parts)).hexdigest()
+
+
+def changed_code(folder: Path, docs: Path) -> bool:
+    """Whether the sources of a folder differ from those with which the site was last built."""
+    record = docs / RECORD
+    return not record.exists() or record.read_text() != state(folder)
+
+
+def record_code(app: Sphinx, exception: Exception | None) -> None:
+    """Remember the sources with which all examples ran."""
+    if exception is None:
+        record = Path(app.srcdir) / RECORD
+        record.parent.mkdir(parents=True, exist_ok=True)
+        record.write_text(state(Path(app.srcdir).parent / "eofm"))
 
 
 def plain_look(gallery_conf: dict[str, Any], fname: str) -> None:
@@ -65,7 +82,7 @@ def plain_look(gallery_conf: dict[str, Any], fname: str) -> None:
 
 def command_page() -> str:
     """The reference of the command, as Markdown."""
-    parser = cli._parser()
+    parser = cli.parser()
     steps = next(a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
     names = [(f"[`eofm {name}`](#eofm-{name})", _first(sub)) for name, sub in steps.choices.items()]
     parts = [PAGE, _table(names, ("step", "what it does"))]
@@ -160,10 +177,19 @@ def write_pages(app: Sphinx) -> None:
             page.write_text(text)
 
 
+def skip_missing(app: Sphinx, name: str, source: list[str]) -> None:
+    """Leave pages out of a table of contents that are not there."""
+    for page in PERHAPS:
+        if not (Path(app.srcdir) / f"{page}.md").exists():
+            source[0] = source[0].replace(f"\n../{page}\n", "\n")
+
+
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register with Sphinx."""
     assert eofm.__all__  # the package that is documented is the one that is imported
-    app.connect("builder-inited", write_pages)
+    app.connect("builder-inited", write_pages, priority=100)
+    app.connect("source-read", skip_missing)
+    app.connect("build-finished", record_code)
     app.connect("autodoc-process-docstring", describe_keys)
     app.connect("autodoc-process-signature", short_signature)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -3,7 +3,8 @@ From files to results
 =====================
 
 What the command ``eofm sample`` does, in Python: read what files and words describe, analyse it,
-and write fields, tables and figures to a folder.
+and write fields, tables, figures and a page to a folder. The pair is that of the page
+:doc:`/start`.
 """
 
 import tempfile
@@ -15,22 +16,22 @@ import tifffile
 import eofm
 
 folder = Path(tempfile.mkdtemp())
-sample = eofm.Sample(height=80, width=120, compression=3)
-truth = eofm.true_field(sample)
-for name, image in zip(("before", "after"), eofm.make_phantom(truth), strict=False):
+inclusion = eofm.Inclusion(x1=105, x2=70, radius=26, stiffness=5)
+sample = eofm.Sample(height=120, width=180, compression=4, inclusions=(inclusion,))
+images = eofm.make_phantom(eofm.true_field(sample), eofm.Phantom(count=1500, noise=0.02))
+for name, image in zip(("before", "after"), images, strict=False):
     eofm.io.write_image(folder / f"{name}.tif", image)
 
 # %%
 # The keys are those of a row of ``samples.tsv`` and of the options of ``eofm sample``. The bottom
-# moved up by 15 um, which are 3 px of 5 um; x2 points down, hence the sign.
+# moved up by 20 um, which are 4 px of 5 um; x2 points down, hence the sign.
 pair = eofm.Pair(
     reference=folder / "before.tif",
     deformed=folder / "after.tif",
     lateral_size=5,
     axial_size=5,
     top="fixed",
-    bottom="moved 0 -15 um",
-    background="elastic",
+    bottom="moved 0 -20 um",
 )
 scene = eofm.read_scene(pair)
 results = eofm.analyse(*scene.frames, known=scene.known, sample=scene.sample, measures=pair)
@@ -38,16 +39,21 @@ for key in ("u2_range_um", "axial_strain_mean", "forward_backward_error_median_p
     print(f"{key}: {results.summary[key]}")
 
 # %%
-# All files appear together, or none does.
+# All files appear together, or none does. ``report.html`` is one page that explains the others.
 (folder / "mine").mkdir()
-results.write(folder / "mine", pair.files, kinds=())
+results.write(folder / "mine", pair.files, kinds=("png",))
 for path in sorted((folder / "mine").iterdir()):
     print(f"{path.name:28} {path.stat().st_size:8} bytes")
 
 # %%
+# The strain, as it was written to ``strain.png``: the inclusion is strained less, and so are the
+# layers at the plates, where the sample cannot bulge.
+picture = plt.imread(folder / "mine/strain.png")
+fig, ax = plt.subplots(figsize=(9, 9 * picture.shape[0] / picture.shape[1]), dpi=150)
+ax.imshow(picture)
+ax.axis("off")
+
+# %%
 # Fields are float TIFFs with a page for each component, which Fiji and any TIFF reader open.
 u1, u2 = tifffile.imread(folder / "mine/displacement_um.tif")
-fig, ax = plt.subplots(figsize=(5.5, 3))
-shown = ax.imshow(u2, extent=(0, 600, 400, 0))
-ax.set(title="u2, um", xlabel="x1, um", ylabel="x2, um")
-fig.colorbar(shown, shrink=0.8)
+print(f"u2 from {u2.min():.1f} to {u2.max():.1f} um")

@@ -111,8 +111,7 @@ class Analysis:
     @property
     def trust(self) -> Trust:
         """The verdict of the step with the worst one."""
-        order = ("good", "doubtful", "failed")
-        return max((step.trust for step in self.steps), key=lambda t: order.index(t.verdict))
+        return worst(self.steps)
 
     def draw(self) -> "dict[str, Figure]":
         """Return the figures by name: pair, displacement, strain, quality and stiffness."""
@@ -130,6 +129,12 @@ class Analysis:
         from eofm.analysis.report import write_results
 
         write_results(self, folder, images, kinds)
+
+
+def worst(steps: Sequence[Step]) -> Trust:
+    """What the images say of the step that they bear out least."""
+    order = ("good", "doubtful", "failed")
+    return max((step.trust for step in steps), key=lambda t: order.index(t.verdict))
 
 
 def analyse(
@@ -220,7 +225,8 @@ def analyse(
     found = summary.of_motion(pixel_size, dead, steps, total)
     found |= summary.of_strain(e, measures, window, dead)
     without = residual(first, last, np.zeros_like(total))
-    found |= summary.of_images(frames, dead, (left, without), share)
+    match = worst(steps).map
+    found |= summary.of_images(frames, dead, (left, without), share, match)
     found["reach_px"] = summary.reach(shape, estimation)
     if (stiffness := steps[0].stiffness) is not None:
         found["stiffness"] = summary.of_stiffness(stiffness)

@@ -8,7 +8,7 @@ import numpy as np
 from eofm.errors import InputError
 from eofm.grid import FACES, Array, Edge, Face
 from eofm.io import read_columns
-from eofm.settings import EDGE_WORDS, Region
+from eofm.settings import EDGE_WORDS
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class EdgeState:
     ----------
     outside : bool
         The sample goes on beyond the image: no condition on the estimate.
-    motion : ndarray, shape (2, n), or None
+    motion : ndarray, shape (2, n) or (3, 1, 1), or None
         Displacement along the edge, px; n = 1 where it is constant, None where it is free.
     """
 
@@ -33,18 +33,26 @@ class Place:
 
     Attributes
     ----------
-    offset, size, whole : (lateral, axial)
+    offset, size, whole : (lateral, axial) or (lateral, axial, elevational)
         First pixel and size of the region; size of the sample.
     """
 
-    offset: tuple[int, int]
-    size: tuple[int, int]
-    whole: tuple[int, int]
+    offset: tuple[int, ...]
+    size: tuple[int, ...]
+    whole: tuple[int, ...]
 
     @classmethod
-    def of(cls, roi: Region, extent: Region) -> "Place":
-        """Return it for a region and a sample that are given in px of one image."""
-        return cls((roi[0] - extent[0], roi[1] - extent[1]), roi[2:], extent[2:])
+    def of(cls, roi: tuple[int, ...], extent: tuple[int, ...]) -> "Place":
+        """Return it for a region and a sample that are given in px of one image or volume."""
+        n = len(roi) // 2
+        offset = tuple(a - b for a, b in zip(roi[:n], extent[:n], strict=True))
+        return cls(offset, tuple(roi[n:]), tuple(extent[n:]))
+
+    @property
+    def window(self) -> tuple[slice, ...]:
+        """Index of the region in an array of the whole sample."""
+        parts = zip(self.offset[::-1], self.size[::-1], strict=True)
+        return tuple(slice(first, first + n) for first, n in parts)
 
     def inside_of(self, face: Face) -> bool:
         """Whether the sample goes on beyond an edge of the region."""
@@ -54,16 +62,16 @@ class Place:
 
     def part(self, face: Face, motion: Array) -> Array:
         """Motion of the region's part of an edge; n = 1 is constant."""
-        along = 1 - face.component
-        if motion.shape[1] == 1:
+        if motion[0].size == 1:
             return motion
+        along = 1 - face.component
         return motion[:, self.offset[along] : self.offset[along] + self.size[along]]
 
 
 def parse_edge(
     edge: Edge, text: str, shape: tuple[int, ...], pixel_size: tuple[float, ...] | None
 ) -> EdgeState:
-    """Read the description of an edge of a sample of a ``shape`` (height, width), px.
+    """Read the description of an edge of a sample of a ``shape``, px; of a volume, of a face.
 
     The ``pixel_size`` in um, lateral first, is None where it is not known.
 
@@ -82,8 +90,8 @@ def parse_edge(
     if kind == "free":
         return EdgeState(outside, None)
     if kind == "fixed":
-        return EdgeState(outside, np.zeros((2, 1)))
-    motion = _motion(edge, words[1:], FACES[edge].sides(shape)[0], pixel_size)
+        return EdgeState(outside, np.zeros((len(shape), *[1] * (len(shape) - 1))))
+    motion = _motion(edge, words[1:], FACES[edge].sides(shape), pixel_size)
     for i, size in enumerate(shape[::-1]):
         if abs(motion[i]).max() >= size:
             raise InputError(
@@ -94,23 +102,20 @@ def parse_edge(
 
 
 def _motion(
-    edge: Edge, words: list[str], length: int, pixel_size: tuple[float, ...] | None
+    edge: Edge, words: list[str], sides: tuple[int, ...], pixel_size: tuple[float, ...] | None
 ) -> Array:
+    """Motion of an edge with so many pixels along its sides, px."""
+    n = len(sides) + 1
     if len(words) == 1:
-        motion = read_columns(Path(words[0]), ("u1", "u2")).to_numpy(dtype=float).T
-        if motion.shape[1] != length:
-            raise InputError(
-                f"{edge}: {words[0]} has {motion.shape[1]} rows but the edge has {length} pixels;"
-                " give one row per pixel of the sample's edge"
-            )
-        return motion
-    unit = words.pop() if len(words) == 3 else "px"
+        return _profile(edge, words[0], sides)
+    unit = words.pop() if len(words) == n + 1 else "px"
     try:
-        motion = np.array([[float(word)] for word in words])
+        motion = np.array([float(word) for word in words])
     except ValueError:
-        motion = np.full((2, 1), np.nan)
-    if motion.shape != (2, 1) or unit not in ("px", "um") or not np.isfinite(motion).all():
+        motion = np.full(n, np.nan)
+    if len(motion) != n or unit not in ("px", "um") or not np.isfinite(motion).all():
         raise InputError(f"{edge}: cannot read 'moved {' '.join(words)}'; use {EDGE_WORDS}")
+    motion = motion.reshape(n, *[1] * (n - 1))
     if unit == "px":
         return motion
     if pixel_size is None:
@@ -118,4 +123,18 @@ def _motion(
             f"{edge}: moves in um, but the size of a pixel is not known; give lateral_size and"
             " axial_size, or the motion in px"
         )
-    return motion / np.reshape(pixel_size, (2, 1))
+    return motion / np.reshape(pixel_size, motion.shape)
+
+
+def _profile(edge: Edge, name: str, sides: tuple[int, ...]) -> Array:
+    if len(sides) > 1:
+        raise InputError(
+            f"{edge}: a table of motions is of an image's edge; of a volume's face say U1 U2 U3"
+        )
+    motion = read_columns(Path(name), ("u1", "u2")).to_numpy(dtype=float).T
+    if motion.shape[1] != sides[0]:
+        raise InputError(
+            f"{edge}: {name} has {motion.shape[1]} rows but the edge has {sides[0]} pixels;"
+            " give one row per pixel of the sample's edge"
+        )
+    return motion

@@ -15,6 +15,7 @@ import numpy as np
 from eofm.analysis import findings, pictures
 from eofm.analysis.analyse import Analysis
 from eofm.analysis.findings import NAMES, Units
+from eofm.analysis.summary import HELD, held
 from eofm.analysis.tensors import invariants, labels
 from eofm.grid import Array
 
@@ -202,7 +203,7 @@ def _trust(maker: Maker) -> Iterator[str]:
         ),
         maker.figure(
             "what decides",
-            results.share,
+            shares(results),
             "share",
             (0, 1),
             said=("filled in", "mixed", "images"),
@@ -218,6 +219,13 @@ def _trust(maker: Maker) -> Iterator[str]:
         maps,
         wide=True,
     )
+
+
+def shares(results: Analysis) -> Array:
+    """The share of the images, but that of pixels which the regulariser holds alone is 0."""
+    alone = held(results.share, results.trust.map)
+    found: Array = np.where(alone, 0.0, np.maximum(results.share, HELD))
+    return found
 
 
 def _stiffness(maker: Maker) -> Iterator[str]:

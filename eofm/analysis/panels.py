@@ -72,6 +72,7 @@ def panels(
     across, down = BAR_GAP + BAR + BAR_LABELS, TITLE + BETWEEN
     size = LEFT + columns * (wide + across), rows * (high + down) - BETWEEN + BOTTOM
     figure = Figure(size)
+    figure.set_layout_engine("none")
     axes = np.empty((rows, columns), dtype=object)
     for i, j in np.ndindex(rows, columns):
         x, y = LEFT + j * (wide + across), size[1] - (i + 1) * (high + down) + BETWEEN

@@ -69,7 +69,8 @@ def palette(colours: str) -> NDArray[np.uint8]:
     """The colours from the lowest value to the highest, shape (256, 3)."""
     at = (np.arange(COLOURS) + 0.5) / COLOURS
     if colours in STEPS:
-        first, rgb = zip(*STEPS[colours], strict=True)
+        first = [at for at, _ in STEPS[colours]]
+        rgb = [colour for _, colour in STEPS[colours]]
         table = np.array([[int(c[k : k + 2], 16) for k in (1, 3, 5)] for c in rgb])
         found = table[np.searchsorted(first, at, "right") - 1]
     else:

@@ -10,7 +10,7 @@ import pandas as pd
 
 from eofm import io
 from eofm.analysis.analyse import Analysis
-from eofm.analysis.page import page
+from eofm.analysis.page import page, shares
 from eofm.analysis.tensors import invariants, labels
 from eofm.errors import InputError
 from eofm.grid import Array, componentwise
@@ -162,7 +162,7 @@ def draw(results: Analysis, settings: Figures | None = None) -> "dict[str, Figur
         "residual $I_2(x + u) - I_1$": results.residual,
         f"forward-backward error{of_first}": step.inconsistency,
         f"correlation after the motion: {trust.verdict}": trust.map,
-        "what decides the estimate": results.share,
+        "what decides the estimate": shares(results),
     }
     drawn = {
         "pair": figures.image_pair(results.first, results.last, settings, step.bubbles, titles),

@@ -25,11 +25,11 @@ LARGEST_EXTENT = 20
 
 @dataclass(frozen=True)
 class Scene:
-    """The images of a pair or sequence and all that is known beside them.
+    """The images, or volumes, of a pair or sequence and all that is known beside them.
 
     Attributes
     ----------
-    frames : ndarray, shape (n, height, width)
+    frames : ndarray, shape (n, height, width) or (2, depth, height, width)
         The region of interest in all frames.
     known : Known
         Dead zones of the first frame, and edges and background of one step.
@@ -76,24 +76,24 @@ def read_scene(pair: Pair) -> Scene:
     """
     frames, pixel_size = _frames(pair)
     sides = pixel_size.sides if pixel_size else None
-    roi = _roi(pair, frames.shape[1:])
-    window = np.s_[roi[1] : roi[1] + roi[3], roi[0] : roi[0] + roi[2]]
-    dead = _dead(pair, frames.shape[1:])[window]
+    shape = frames.shape[1:]
+    roi = _roi(pair, shape)
+    window = Place.of(roi, (*[0] * len(shape), *shape[::-1])).window
+    dead = _dead(pair, shape)[window]
     if dead.all():
         raise InputError("mask: leaves no pixel of the region of interest")
     frames = frames[:, *window]
-    # What a mask hides must not stretch the grey scale.
-    frames[:, dead] = np.median(frames[:, ~dead])
+    if dead.any():
+        # What a mask hides must not stretch the grey scale.
+        frames[:, dead] = np.median(frames[:, ~dead])
     place = Place.of(roi, _extent(pair, roi))
-    sample = Sample(
-        height=place.whole[1],
-        width=place.whole[0],
-        poisson_ratio=pair.poisson_ratio,
-        plane=pair.plane,
-        compression=0.0,
-    )
-    texts = {edge: getattr(pair, edge) for edge in faces(2)}
-    states = {e: parse_edge(e, text, sample.shape, sides) for e, text in texts.items()}
+    sample = _sample(pair, place.whole)
+    on = faces(len(shape))
+    texts = {edge: getattr(pair, edge) for edge in FACES}
+    for edge in texts.keys() - on.keys():
+        if texts[edge] != "free":
+            raise InputError(f"{edge}: is a face of volumes, but these are images; leave it out")
+    states = {e: parse_edge(e, texts[e], sample.shape, sides) for e in on}
     edges: dict[Edge, Array] = {}
     beyond: list[Edge] = []
     for edge, state in states.items():
@@ -106,10 +106,17 @@ def read_scene(pair: Pair) -> Scene:
             edges[edge] = place.part(FACES[edge], state.motion)
         if outside or state.outside:
             beyond.append(edge)
-    alike = sides or (1.0,) * (frames.ndim - 1)
+    alike = sides or (1.0,) * len(shape)
     background = _background(pair, sample, states, place, alike)
     known = Known(None, background, edges, dead, alike, tuple(beyond))
-    return Scene(frames, known, sample.changed(height=roi[3], width=roi[2]), pixel_size)
+    return Scene(frames, known, _sample(pair, place.size), pixel_size)
+
+
+def _sample(pair: Pair, size: tuple[int, ...]) -> Sample:
+    """The sample, of a size in px, lateral first."""
+    sides = dict(zip(("width", "height", "depth"), size, strict=False))
+    material = {"poisson_ratio": pair.poisson_ratio, "plane": pair.plane}
+    return Sample.parse({**sides, **material, "compression": 0.0}, "sample")
 
 
 def _frames(pair: Pair) -> tuple[Array, io.PixelSize | None]:
@@ -119,7 +126,7 @@ def _frames(pair: Pair) -> tuple[Array, io.PixelSize | None]:
         scans = [io.read_stack(files[0])]
         frames = scans[0].values
     else:
-        scans = list(io.read_scans(files[0], files[1], ndim=2))
+        scans = list(io.read_scans(files[0], files[1]))
         frames = np.stack([scan.values for scan in scans])
     named = dict(zip(pair.files, scans, strict=True))
     return _scaled(pair, frames), io.pixel_size(named, frames.ndim - 1, pair.sides)
@@ -137,53 +144,79 @@ def _scaled(pair: Pair, frames: Array) -> Array:
     return frames
 
 
-def _roi(pair: Pair, shape: tuple[int, ...]) -> Region:
-    """Region of interest in images of a shape."""
-    height, width = shape
-    roi = x1, x2, columns, rows = pair.roi or (0, 0, width, height)
-    if x1 < 0 or x2 < 0 or x1 + columns > width or x2 + rows > height:
+def _roi(pair: Pair, shape: tuple[int, ...]) -> tuple[int, ...]:
+    """Region of interest in images, or volumes, of a shape."""
+    whole = (*[0] * len(shape), *shape[::-1])
+    roi = _region("roi", pair.roi, whole)
+    first, size = np.split(np.array(roi), 2)
+    if (first < 0).any() or (first + size > shape[::-1]).any():
+        begin, end = (f"({', '.join(map(str, x))})" for x in (first, first + size))
+        what = "image" if len(shape) == 2 else "volume"
+        sides = " x ".join(map(str, shape[::-1]))
         raise InputError(
-            f"roi: reaches from ({x1}, {x2}) to ({x1 + columns}, {x2 + rows}), outside of the"
-            f" image of {width} x {height} px (lateral x axial)"
+            f"roi: reaches from {begin} to {end}, outside of the {what} of {sides} px"
+            " (lateral x axial)"
         )
     return roi
 
 
+def _region(key: str, region: Region | None, whole: tuple[int, ...]) -> tuple[int, ...]:
+    """A region with as many numbers as the whole has, which it is by default.
+
+    Four numbers of a volume leave its slices as they are.
+
+    Raises
+    ------
+    InputError
+        If it is that of a volume, and they are images.
+    """
+    if region is None:
+        return whole
+    if len(region) > len(whole):
+        raise InputError(f"{key}: six numbers are of a volume; wants x1, x2, width and height")
+    if len(region) < len(whole):
+        return *region[:2], whole[2], *region[2:], whole[5]
+    return region
+
+
 def _dead(pair: Pair, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Dead zones from an image that is not 0 there, or from the corners of a polygon."""
+    """Dead zones from what is not 0 there, or from the corners of a polygon in all slices."""
     if pair.mask is None:
         return np.zeros(shape, dtype=bool)
     try:
         corners = np.array([[float(c) for c in w.split(",")] for w in pair.mask.split()])
     except ValueError:
         mask = io.read_image(Path(pair.mask))
-        if mask.shape != shape:
+        if mask.shape not in (shape, shape[-2:]):
+            theirs, ours = (" x ".join(map(str, n)) for n in (mask.shape, shape))
             raise InputError(
-                f"mask: {pair.mask} has {mask.shape[0]} x {mask.shape[1]} px but the images have"
-                f" {shape[0]} x {shape[1]}; draw it on one of them"
+                f"mask: {pair.mask} has {theirs} px but the images have {ours}; draw it on one of"
+                " them"
             ) from None
-        return mask != 0
+        return np.broadcast_to(mask != 0, shape)
     if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3:
         raise InputError("mask: a polygon wants at least three corners 'x1,x2 x1,x2 x1,x2'")
     if not (np.abs(corners) < FAR).all():
         raise InputError("mask: the corners of a polygon want to be numbers near the image")
-    mask = polygon2mask(shape, corners[:, ::-1])
+    mask = polygon2mask(shape[-2:], corners[:, ::-1])
     if not mask.any():
         raise InputError("mask: no pixel of the image lies in the polygon")
-    return mask
+    return np.broadcast_to(mask, shape)
 
 
-def _extent(pair: Pair, roi: Region) -> Region:
-    """Where the sample is, px of the image; it holds the region of interest."""
-    (e1, e2, e_width, e_height), (x1, x2, width, height) = pair.extent or roi, roi
-    if e1 > x1 or e2 > x2 or e1 + e_width < x1 + width or e2 + e_height < x2 + height:
+def _extent(pair: Pair, roi: tuple[int, ...]) -> tuple[int, ...]:
+    """Where the sample is, px of the image or volume; it holds the region of interest."""
+    extent = _region("extent", pair.extent, roi)
+    (begin, size), (first, wanted) = np.split(np.array(extent), 2), np.split(np.array(roi), 2)
+    if (begin > first).any() or (begin + size < first + wanted).any():
         raise InputError("extent: the sample must hold the whole region of interest")
-    if e_width > LARGEST_EXTENT * width or e_height > LARGEST_EXTENT * height:
+    if (size > LARGEST_EXTENT * wanted).any():
+        whole, part = (" x ".join(map(str, x)) for x in (size, wanted))
         raise InputError(
-            f"extent: {e_width} x {e_height} px is more than {LARGEST_EXTENT} times the region of"
-            f" interest's {width} x {height} px; check its unit"
+            f"extent: {whole} px is more than {LARGEST_EXTENT} times the region of"
+            f" interest's {part} px; check its unit"
         )
-    return e1, e2, e_width, e_height
+    return extent
 
 
 def _background(
@@ -194,15 +227,14 @@ def _background(
     sides: tuple[float, ...],
 ) -> Array | None:
     """The background field of the region of interest, of pixels of any ``sides``."""
-    (width, height), (x1, x2) = place.size, place.offset
     if pair.background == "none":
         return None
     if pair.background != "elastic":
-        return io.read_field(Path(pair.background), (height, width))
+        return io.read_field(Path(pair.background), place.size[::-1])
     motion = {edge: state.motion for edge, state in states.items() if state.motion is not None}
     if not motion:
         raise InputError(
             "background: an elastic one wants an edge that is fixed or moved; say so of one"
         )
     u = deform(sample, motion, pixel_size=sides)
-    return u[:, x2 : x2 + height, x1 : x1 + width]
+    return u[:, *place.window]

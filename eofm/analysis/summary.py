@@ -18,8 +18,10 @@ if TYPE_CHECKING:
     from eofm.analysis.analyse import Step
     from eofm.identification.stiffness import Stiffness
 
-# Share of the images in the estimate below which the regulariser holds a pixel alone.
-HELD = 0.1
+# Share of the images in the estimate, and their correlation, below which the regulariser holds a
+# pixel alone. Where they match, a small share says that there is no detail, not that nothing is
+# known.
+HELD, MATCHED = 0.1, 0.5
 # Percentiles that stand for the range of a strain.
 RANGE = (1, 99)
 
@@ -74,7 +76,11 @@ def of_strain(e: Array, measures: Measures, window: float, dead: Mask) -> dict[s
 
 
 def of_images(
-    frames: Sequence[Array], dead: Mask, residuals: tuple[Array, Array], share: Array
+    frames: Sequence[Array],
+    dead: Mask,
+    residuals: tuple[Array, Array],
+    share: Array,
+    match: Array,
 ) -> dict[str, Any]:
     """What is left of their difference after and without the motion, and what they say."""
     after, without = (float(np.sqrt(np.nanmean(r[~dead] ** 2))) for r in residuals)
@@ -82,9 +88,14 @@ def of_images(
         "residual_rms": after,
         "residual_rms_without_motion": without,
         "share_of_data_median": float(np.median(share)),
-        "share_held_by_regulariser": float((share < HELD)[~dead].mean()),
+        "share_held_by_regulariser": float(held(share, match)[~dead].mean()),
         "defect_share": [float((defects(filled(I, dead)) & ~dead).mean()) for I in frames],
     }
+
+
+def held(share: Array, match: Array) -> Mask:
+    """Pixels that the regulariser holds alone: the images have no share, and do not match."""
+    return (share < HELD) & ~(match > MATCHED)
 
 
 def reach(shape: tuple[int, ...], estimation: Estimation) -> list[float]:

@@ -314,6 +314,30 @@ def sample(
     return results.trust
 
 
+def view(
+    folder: Annotated[Path, reads("folder that `eofm sample` has written to")],
+) -> None:
+    """Show the results in a folder as layers of napari.
+
+      eofm view results/mine
+
+    Images, displacement with its vectors, strain and error bars, in um where the size of a pixel is
+    known and in px else. Needs napari: pip install 'eofm[view]'.
+    """
+    from eofm.analysis.layers import layers
+
+    shown = layers(folder)
+    try:
+        import napari
+    except ImportError:
+        raise InputError("napari is not installed; pip install 'eofm[view]' brings it") from None
+    viewer = napari.Viewer(title=f"eofm: {folder.resolve().name}")
+    for layer in shown:
+        viewer.add_layer(napari.layers.Layer.create(*layer))
+    viewer.axes.visible = viewer.scale_bar.visible = True
+    napari.run()
+
+
 # Settings of everything for one pair, the columns of a table of samples.
 ANALYSIS = tuple(sections_of(sample).values())
 
@@ -325,6 +349,7 @@ STEPS: tuple[Step, ...] = (
     track,
     estimate,
     sample,
+    view,
     stiffness,
     evaluate,
 )

@@ -14,13 +14,16 @@ the trapezoidal rule in each cell: second order, and every term without derivati
 
 from dataclasses import dataclass, replace
 from functools import reduce
-from itertools import combinations_with_replacement, product
+from itertools import combinations_with_replacement
+from itertools import product as tuples
 from math import factorial, prod, sqrt
 from typing import Any, Self
 
 import numpy as np
 import scipy.sparse as sp
 
+from eofm.flow.operator import Operator, axis_tables
+from eofm.flow.stencils3 import product
 from eofm.grid import FACES, Array, Edge, Grid, Mask, precision
 from eofm.imaging.gaussian import gaussians
 
@@ -169,10 +172,25 @@ class Quadratic:
         """Vector of ``b`` on the free pixels."""
         return 2 * (self.grid.areas * self.terms.b)[:, self.free].ravel()
 
+    def operator(self) -> Operator:
+        """``K = a / 2`` without a matrix, in the precision of the terms.
+
+        Factors of the smoothness term are in double precision, so that products are summed in
+        it: the energy of smooth motions would else be lost in rounding.
+        """
+        precision = np.result_type(self.terms.A, self.terms.b, np.float32)
+        A = np.require(self.terms.A, precision, ["C", "W"])
+        free = np.require(self.free, np.bool_, ["C", "W"])
+        bending = self.smoothness == "bending"
+        axes = axis_tables(self.grid.shape, self.grid.spacing, self.alpha, bending)
+        return Operator(A, np.empty((0, *self.grid.shape), precision), free, axes, bending)
+
     def shifted(self, p: Array) -> "Quadratic":
         """The functional of ``w = v - p``, up to a constant, for ``v = p`` where not free."""
         if not p.any():
             return self
+        if self.grid.ndim == 3:
+            return self._shifted_volume(p)
         b = self.terms.product(p)
         np.subtract(self.terms.b, b, out=b)
         area, roots = self.grid.areas, smoothness_roots(self.grid, self.smoothness)
@@ -180,6 +198,15 @@ class Quadratic:
             smooth = sum(_apply(P, _apply(P, c), adjoint=True) for P in roots)
             target -= self.alpha * (smooth / area)
         return replace(self, terms=Pointwise(self.terms.A, b))
+
+    def _shifted_volume(self, p: Array) -> "Quadratic":
+        # The same for a volume, where sparse matrices would take ten times as long.
+        K = self.operator()
+        b, border = np.empty_like(self.terms.b, K.A.dtype), [(0, 0), (2, 2), (2, 2), (2, 2)]
+        product(b, np.pad(p.astype(b.dtype, copy=False), border), K._replace(free=self.free | True))
+        for component, weights in enumerate(self.grid.weights):
+            b /= weights.astype(b.dtype).reshape(-1, *[1] * component)
+        return replace(self, terms=Pointwise(self.terms.A, np.subtract(self.terms.b, b, out=b)))
 
     def rough(self, rng: np.random.Generator) -> Array:
         """Draw a functional, of the shape of ``terms.b``, with covariance ``alpha R``."""
@@ -215,7 +242,7 @@ def smoothness_roots(grid: Grid, smoothness: str) -> Roots:
     """
     order = ORDERS[smoothness]
     along = [_differences(grid, c, order) for c in range(grid.ndim)]
-    derivatives = [k for k in product(range(order, -1, -1), repeat=grid.ndim) if sum(k) == order]
+    derivatives = [k for k in tuples(range(order, -1, -1), repeat=grid.ndim) if sum(k) == order]
     roots = []
     for k in derivatives:
         copies = factorial(order) / prod(map(factorial, k))

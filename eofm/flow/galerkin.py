@@ -8,7 +8,8 @@ import numpy as np
 from numba import njit
 
 from eofm.compiled import compiled, share
-from eofm.flow.stencils import AHEAD, SC, STRIP, TC, M, Operator, Real, Transfer
+from eofm.flow.operator import SC, TC, M, Operator, Real, Transfer
+from eofm.flow.stencils import AHEAD, STRIP
 
 
 @njit

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from eofm.compiled import compiled, share
-from eofm.flow.stencils import SC, TC, M, Operator, Real, Transfer
+from eofm.flow.operator import SC, TC, M, Operator, Real, Transfer
 from eofm.flow.stencils3 import STRIP
 
 # Numbers of a symmetric matrix.

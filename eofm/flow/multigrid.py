@@ -28,7 +28,7 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from eofm.errors import InputError
 from eofm.flow import galerkin, galerkin3, stencils, stencils3
 from eofm.flow.functional import Quadratic, pairs
-from eofm.flow.stencils import SC, TC, Between, M, Operator, Real, Transfer, axis_table
+from eofm.flow.operator import SC, TC, Between, M, Operator, Real, Transfer, axis_tables
 from eofm.grid import Array, Mask
 from eofm.threads import serial
 
@@ -98,7 +98,7 @@ def multigrid(
     NotConverged
         If ``max_iterations`` reach neither ``tol`` nor ``change``.
     """
-    loops, operator = LOOPS[F.grid.ndim], finest(F)
+    loops, operator = LOOPS[F.grid.ndim], F.operator()
     top = hierarchy(F)
     precision = operator.A.dtype
     r = _load(F, precision)
@@ -258,7 +258,7 @@ class Coarsest:
 
 def hierarchy(F: Quadratic) -> Level | Coarsest:
     """The finest grid, linked to the coarser ones."""
-    operator = finest(F)
+    operator = F.operator()
     stiffness, area = _stiffness(operator)
     A, free, own = operator.A, operator.free, operator.A.dtype
     degree, high_degree, visits = CYCLE[free.ndim][F.smoothness]
@@ -288,7 +288,7 @@ def hierarchy(F: Quadratic) -> Level | Coarsest:
         spacing = tuple(
             h * (n - 1) / (coarse - 1) for h, (n, coarse) in zip(spacing, sides, strict=True)
         )
-        axes = _axes(shape, spacing, F.alpha, operator.bending)
+        axes = axis_tables(shape, spacing, F.alpha, operator.bending)
         for component, axis in enumerate(axes):
             A /= axis[M].astype(own).reshape(-1, *[1] * component)
         rounded = tuple(between.rounded(precision) for between in transfer)
@@ -298,20 +298,6 @@ def hierarchy(F: Quadratic) -> Level | Coarsest:
     for operator, transfer in reversed(levels):
         top = Level(operator, degree, visits, transfer, top)
     return top
-
-
-def finest(F: Quadratic) -> Operator:
-    """The operator K of a functional, in its precision, with factors of the smoothness in double.
-
-    Products in single precision are then summed in double: those of smooth motions and
-    the bending energy would else be lost in rounding.
-    """
-    bending = F.smoothness == "bending"
-    precision = np.result_type(F.terms.A, F.terms.b, np.float32)
-    A = np.require(F.terms.A, precision, ["C", "W"])
-    free = np.require(F.free, np.bool_, ["C", "W"])
-    axes = _axes(F.grid.shape, F.grid.spacing, F.alpha, bending)
-    return Operator(A, np.empty((0, *F.grid.shape), precision), free, axes, bending)
 
 
 def _stiffness(K: Operator) -> tuple[float, float]:
@@ -365,11 +351,3 @@ def _rigid_energy(F: Quadratic, stiffness: float) -> Array:
     if not F.free.all():
         E[range(n), range(n)] += stiffness * energy(~F.free)
     return np.block([list(row) for row in E])
-
-
-def _axes(
-    shape: tuple[int, ...], spacing: tuple[float, ...], alpha: float, bending: bool
-) -> tuple[Array, ...]:
-    """Factors of the smoothness term of a grid, along each component."""
-    sides = zip(shape[::-1], spacing, strict=True)
-    return tuple(axis_table(n, float(h), alpha, bending) for n, h in sides)

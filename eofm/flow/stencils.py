@@ -11,125 +11,35 @@ do not depend on the number of threads.
 """
 
 import math
-from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numba import njit
-from numpy.typing import DTypeLike, NDArray
 
 from eofm.compiled import compiled, share
+from eofm.flow.operator import (
+    S_SUM,
+    SA,
+    SB,
+    SC,
+    SD,
+    SE,
+    T_SUM,
+    TB,
+    TC,
+    TD,
+    M,
+    Operator,
+    Real,
+    Transfer,
+    chebyshev_weights,
+)
 from eofm.grid import Array, Mask
-
-# An array of single or double precision.
-Real = NDArray[Any]
 
 # Rows and columns from a node to those of its eight neighbours that come after it.
 AHEAD = ((0, 1), (1, -1), (1, 0), (1, 1))
 # Rows of a coarse grid that are made together.
 STRIP = 16
 TWO = np.uintp(2)
-
-
-# Rows of the table of an axis: the diagonal of M, bands -2 to 2 of S and -1 to 1 of T, and the
-# sums over each row of |S| and |T|. One array holds them all: compilers vectorise loops over rows
-# of one array, but give up where they have to compare the addresses of many.
-M, SA, SB, SC, SD, SE, TB, TC, TD, S_SUM, T_SUM = range(11)
-
-
-def axis_table(n: int, h: float, alpha: float, bending: bool) -> Array:
-    """Factors along one axis of ``alpha R = M2 x S1 + S2 x M1 + T2 x T1``, shape (11, n).
-
-    M holds the trapezoidal weights. S is ``alpha int u' v'`` and T zero for the gradient; for
-    bending S is ``alpha int u'' v''`` and T is ``sqrt(2 alpha) int u' v'``.
-    """
-
-    def bands(difference: tuple[float, ...]) -> Array:
-        order = len(difference) - 1
-        S = np.zeros((5, n))
-        for p, cp in enumerate(difference):
-            for q, cq in enumerate(difference):
-                S[2 + q - p, p : n - order + p] += cp * cq * h ** (1 - 2 * order)
-        return S
-
-    X = np.zeros((11, n))
-    X[M] = h
-    X[M, [0, -1]] /= 2
-    X[SA : SE + 1] = alpha * bands((1.0, -2.0, 1.0) if bending else (-1.0, 1.0))
-    if bending:
-        X[TB : TD + 1] = np.sqrt(2 * alpha) * bands((-1.0, 1.0))[1:4]
-    X[S_SUM], X[T_SUM] = abs(X[SA : SE + 1]).sum(0), abs(X[TB : TD + 1]).sum(0)
-    return X
-
-
-class Operator(NamedTuple):
-    """K on one grid: the sum of a pointwise term and of the smoothness term.
-
-    On coarse grids the pointwise term may couple neighbouring nodes p, q too. Its energy is
-    ``sum_p a_p u_p . A_p u_p - sum_pq (u_p - u_q) . G_pq (u_p - u_q)``, where ``a_p`` is the
-    area of a node, and ``a_p A_p`` is the sum over each row of blocks.
-
-    Attributes
-    ----------
-    A : ndarray, shape (3, n, m)
-        Entries 11, 12, 22 of the 2 x 2 blocks ``A_p``, per area.
-    G : ndarray, shape (12, n, m) or (0, n, m)
-        Blocks ``G_pq`` between a node and the next ones in the directions ``AHEAD``, if any;
-        on the finest grid there are none.
-    free : ndarray of bool, shape (n, m)
-        False where K u is not wanted.
-    axes : (lateral, axial)
-        Factors of the smoothness term, see :func:`axis_table`.
-    bending : bool
-        Which smoothness they are made for.
-    """
-
-    A: Real
-    G: Real
-    free: Mask
-    axes: tuple[Real, ...]
-    bending: bool
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """That of the grid."""
-        return self.free.shape
-
-    def rounded(self, precision: DTypeLike) -> Self:
-        """The same in another precision."""
-        A, G = (array.astype(precision, copy=False) for array in (self.A, self.G))
-        axes = tuple(axis.astype(precision, copy=False) for axis in self.axes)
-        return type(self)(A, G, self.free, axes, self.bending)
-
-
-class Between(NamedTuple):
-    """Where the n nodes of an axis lie among fewer ones that share the ends.
-
-    Node i lies between the coarse nodes J[i] and J[i] + 1, a part t[i] of their distance from
-    the first.
-
-    Attributes
-    ----------
-    J : ndarray of int, shape (n,)
-    t : ndarray, shape (n,)
-    """
-
-    J: NDArray[np.intp]
-    t: Real
-
-    @classmethod
-    def of(cls, n: int, coarse: int) -> Self:
-        """That of n nodes among a coarse number of them."""
-        position = np.arange(n) * (coarse - 1) / (n - 1)
-        J = np.minimum(position.astype(np.intp), coarse - 2)
-        return cls(J, position - J)
-
-    def rounded(self, precision: DTypeLike) -> Self:
-        """The same in another precision."""
-        return type(self)(self.J, self.t.astype(precision, copy=False))
-
-
-# Along each component.
-Transfer = tuple[Between, ...]
 
 
 @njit
@@ -255,11 +165,6 @@ def _chebyshev(first, last, y, x, b, c1, c2, from_zero, K):
         _chebyshev_row(y, x, b, i, c1, c2, from_zero, K)
 
 
-def weights(step: int) -> tuple[float, float]:
-    """Those of :func:`chebyshev` in a step, c1 and c2."""
-    return max(0.0, (2 * step - 3) / (2 * step + 1)), (8 * step - 4) / (2 * step + 1)
-
-
 def chebyshev(y: Real, x: Real, b: Real, step: int, from_zero: bool, K: Operator) -> None:
     """Overwrite the field y, the iterate before x, by the iterate after it.
 
@@ -267,7 +172,7 @@ def chebyshev(y: Real, x: Real, b: Real, step: int, from_zero: bool, K: Operator
     of ``|alpha R|``. Thus K <= D (Gershgorin for R, Jensen for the pointwise term): no
     eigenvalue of D^-1 K exceeds 1. Steps count from 1; one from zero makes x zero.
     """
-    c1, c2 = map(b.dtype.type, weights(step))
+    c1, c2 = map(b.dtype.type, chebyshev_weights(step))
     share(_chebyshev, K.shape[0], K.free.size, y, x, b, c1, c2, from_zero, K)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from eofm.compiled import compiled, share
-from eofm.flow.stencils import (
+from eofm.flow.operator import (
     S_SUM,
     SA,
     SB,
@@ -30,7 +30,7 @@ from eofm.flow.stencils import (
     Operator,
     Real,
     Transfer,
-    weights,
+    chebyshev_weights,
 )
 from eofm.grid import Array, Mask
 
@@ -372,7 +372,7 @@ def chebyshev(y: Real, x: Real, b: Real, step: int, from_zero: bool, K: Operator
 
     See :func:`eofm.flow.stencils.chebyshev`.
     """
-    c1, c2 = map(b.dtype.type, weights(step))
+    c1, c2 = map(b.dtype.type, chebyshev_weights(step))
     share(_chebyshev, K.shape[0], 3 * K.free.size, y, x, b, c1, c2, from_zero, K)
 
 

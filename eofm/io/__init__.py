@@ -8,6 +8,7 @@ The only room that knows file formats:
 - `scan`: an array, the meaning of its axes, and the size of its pixels.
 - `formats`: the array of a file of any format; `tiff`, `plain`, `matlab` and others each know one.
 - `apart`: the process of their own in which libraries read what may crash them.
+- `vti`: fields for ParaView.
 - `limits`: how large an array may be, how long a foreign reader may take.
 - `places`: where files are written, each complete or not at all, and several as one.
 - `origin`: what a result comes from, and checksums of what was written.
@@ -36,6 +37,7 @@ from eofm.io.tables import (
     write_json,
     write_table,
 )
+from eofm.io.vti import write_vti
 
 __all__ = [
     "BUBBLE_COLUMNS",
@@ -63,4 +65,5 @@ __all__ = [
     "write_json",
     "write_pages",
     "write_table",
+    "write_vti",
 ]

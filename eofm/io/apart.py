@@ -2,9 +2,9 @@
 
 What it does there ends with the child, whose memory and time are limited. The readers are the
 modules `hdf5`, `omezarr`, `nifti` and `dicom`. Each has a function ``read(path, part, largest)``
-that returns the names of all arrays, the chosen one or None, its axes, and the sizes of its
-pixels in um as far as the file states them; and each imports nothing of ours, so that the child
-starts soon. Run as a script, this module is that child.
+that returns the names of all arrays, the chosen one or None, its axes, and the sizes of its pixels
+with their units as far as the file states them; and each imports nothing of ours, so that the
+child starts soon. Run as a script, this module is that child.
 """
 
 import json
@@ -12,6 +12,7 @@ import runpy
 import subprocess
 import sys
 import tempfile
+import warnings
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 # What a reader itself takes, beside the array, bytes.
 READER = 1 << 30
 # What a reader returns.
-Said = tuple[list[str], NDArray | None, str, dict[str, float]]
+Said = tuple[list[str], NDArray | None, str, dict[str, tuple[float, str]]]
 
 
 def read_apart(reader: str, path: str, part: str, largest: int, seconds: float) -> Said:
@@ -84,7 +85,8 @@ def main(reader: str, path: str, part: str, largest: str, seconds: str) -> None:
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         resource.setrlimit(resource.RLIMIT_CPU, (int(seconds), int(seconds)))
         resource.setrlimit(resource.RLIMIT_AS, (most, most))
-    # Libraries may print.
+    # Libraries may print, and warn of much.
+    warnings.simplefilter("ignore")
     out, sys.stdout = sys.stdout.buffer, sys.stderr
     try:
         names, array, axes, sizes = runpy.run_path(reader)["read"](path, part, int(largest))

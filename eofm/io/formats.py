@@ -6,11 +6,13 @@ from pathlib import Path
 
 from eofm.errors import InputError
 from eofm.io.apart import installed, read_apart
+from eofm.io.headed import read_mha, read_nrrd
 from eofm.io.limits import PATIENCE, largest
 from eofm.io.matlab import read_matlab
 from eofm.io.origin import reading
 from eofm.io.plain import read_numpy, read_png
-from eofm.io.scan import Scan, choose
+from eofm.io.scan import Scan, choose, micrometres
+from eofm.io.thorlabs import read_oct
 from eofm.io.tiff import read_tiff
 
 # What reads a file, or the array of it that is named.
@@ -122,12 +124,15 @@ def _apart(reader: str, library: str, extra: str = "") -> Reader:
         names, array, axes, sizes = read_apart(reader, name, part, largest(), PATIENCE)
         if array is None:
             raise ValueError(f"there is no {choose(name, names, part)}")
-        return Scan(array, axes, sizes)
+        stated = {a: micrometres({a: side}, unit).get(a) for a, (side, unit) in sizes.items()}
+        return Scan(array, axes, {axis: side for axis, side in stated.items() if side})
 
     return read
 
 
 _tiff, _numpy, _hdf5 = ("TIFF", _read_tiff), ("NumPy", read_numpy), ("HDF5", _apart("hdf5", "h5py"))
+_mha = ("MHA", read_mha)
+_nifti = ("NIfTI", _apart("nifti", "nibabel", "medical"))
 READERS: dict[str, tuple[str, Reader]] = {
     ".tif": _tiff,
     ".tiff": _tiff,
@@ -138,6 +143,14 @@ READERS: dict[str, tuple[str, Reader]] = {
     ".h5": _hdf5,
     ".hdf5": _hdf5,
     ".hdf": _hdf5,
+    ".zarr": ("Zarr", _apart("omezarr", "zarr", "zarr")),
+    ".nii": _nifti,
+    ".nii.gz": _nifti,
+    ".dcm": ("DICOM", _apart("dicom", "pydicom", "medical")),
+    ".mha": _mha,
+    ".mhd": _mha,
+    ".nrrd": ("NRRD", read_nrrd),
+    ".oct": ("Thorlabs .oct", read_oct),
 }
 # Files of several arrays, each with a name.
-NAMED = (".npz", ".mat", ".h5", ".hdf5", ".hdf", ".zarr")
+NAMED = (".npz", ".mat", ".h5", ".hdf5", ".hdf", ".zarr", ".oct")

@@ -13,7 +13,7 @@ PARTS = {"real", "imag"}
 
 def read(
     path: str, part: str, largest: int
-) -> tuple[list[str], NDArray | None, str, dict[str, float]]:
+) -> tuple[list[str], NDArray | None, str, dict[str, tuple[float, str]]]:
     """The data sets of a file, and that which is named, or the only one that there is."""
     import h5py
 
@@ -42,7 +42,7 @@ def read(
         if data.dtype.kind == "V":
             values = values["real"] + 1j * values["imag"]
         axes = "Q" * (values.ndim - 2) + "YX"
-        return list(found), values, axes, _sizes(data.attrs.get(ELEMENT), axes)
+        return list(found), values, axes, _sizes(data.attrs.get(ELEMENT))
 
 
 def _is_numeric(data: Any) -> bool:
@@ -51,10 +51,10 @@ def _is_numeric(data: Any) -> bool:
     return (data.dtype.kind in "biufc" or complex_parts) and data.ndim > 1 and not text
 
 
-def _sizes(stated: Any, axes: str) -> dict[str, float]:
-    """Sides in um by axis; the last three axes of the data are Z, Y and X."""
+def _sizes(stated: Any) -> dict[str, tuple[float, str]]:
+    """Sides with their unit by axis; the last three axes of the data are Z, Y and X."""
     sides = np.ravel([] if stated is None else stated)
     if sides.dtype.kind not in "iuf" or len(sides) < 2:
         return {}
     named = zip("XYZ", sides[::-1], strict=False)
-    return {axis: float(side) for axis, side in named if np.isfinite(side) and side > 0}
+    return {axis: (float(side), "um") for axis, side in named}

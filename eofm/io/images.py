@@ -53,6 +53,8 @@ def read_scan(path: Path, ndim: int | None = None) -> Scan:
             f"{path}: holds a stack of shape {values.shape} where an image is wanted; name a page,"
             f" as in {path}#0"
         )
+    if axes[-2:] != "YX":
+        raise InputError(f"{path}: its axes are {axes}; save an image or volume (axes YX or ZYX)")
     wrong = next((axis for axis in axes[:-2] if axis in "TC"), None)
     if wrong == "T" and values.ndim == 3:
         raise InputError(

@@ -65,7 +65,7 @@ class Origin:
         try:
             yield self
             for path, (_, mark) in self.inputs.items():
-                if not path.is_file() or _mark(path) != mark:
+                if not path.exists() or _mark(path) != mark:
                     raise InputError(f"{path}: changed while it was used; nothing is written")
         finally:
             _current.reset(token)
@@ -126,14 +126,25 @@ def check_not_read(path: Path) -> None:
 
 
 def checksum(path: Path) -> str:
-    """SHA-256 of a file, as ``sha256sum`` says it."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    """SHA-256 of a file, as ``sha256sum`` says it, or of the names and files of a folder."""
+    if path.is_dir():
+        digest = hashlib.sha256()
+        for file in _files(path):
+            digest.update(f"{checksum(file)}  {file.relative_to(path).as_posix()}\n".encode())
+        return digest.hexdigest()
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _mark(path: Path) -> Mark:
-    at = path.stat()
-    return at.st_size, at.st_mtime_ns, at.st_ino
+    at = [file.stat() for file in (_files(path) if path.is_dir() else [path])]
+    newest = max((a.st_mtime_ns for a in at), default=0)
+    return sum(a.st_size for a in at), newest, at[0].st_ino if at else 0
+
+
+def _files(folder: Path) -> list[Path]:
+    """The files in a folder, by name; what is no regular file is none of it."""
+    return sorted(file for file in folder.rglob("*") if file.is_file())
 
 
 def _version(name: str) -> str:

@@ -26,7 +26,7 @@ Move = tuple[Path | None, Path]
 _moves: ContextVar[list[Move] | None] = ContextVar("moves", default=None)
 
 # Endings by format, and formats that a name with another ending would belie.
-ENDINGS = {"TIFF": (".tif", ".tiff"), "CSV": (".csv", ".txt"), "JSON": (".json",)}
+ENDINGS = {"TIFF": (".tif", ".tiff"), "CSV": (".csv", ".txt"), "JSON": (".json",), "VTI": (".vti",)}
 
 # Temporary files say whose they are: machine and process.
 TEMPORARY = re.compile(r"\.eofm-(?P<machine>.*)-(?P<process>\d+)-[^-]*")

@@ -94,17 +94,20 @@ def write_tiff(
     origin.check_not_read(path)
     pages = np.ascontiguousarray(pages, np.float32)
     metadata: dict[str, Any] = {"sha256": _digest(pages)}
-    depth = len(pages) if pages.ndim == (4 if labels else 3) else 1
+    ndim = pages.ndim - bool(labels)
     if labels is not None:
-        metadata |= {"axes": "ZCYX"[-pages.ndim :], "Labels": labels * depth}
-    elif pages.ndim == 3:
+        metadata |= {
+            "axes": "ZCYX"[-pages.ndim :],
+            "Labels": labels * (len(pages) if ndim == 3 else 1),
+        }
+    elif ndim == 3:
         metadata["axes"] = "ZYX"
     if (made := origin.Origin.current()) is not None:
         metadata["Info"] = json.dumps(made.record(), indent=1)
     resolution = None
     if sides is not None:
         resolution = (_resolution(sides[0]), _resolution(sides[1]))
-        metadata |= {"unit": "um"} | ({"spacing": float(sides[2])} if len(sides) > 2 else {})
+        metadata |= {"unit": "um"} | ({"spacing": float(sides[2])} if ndim == 3 else {})
     with replacing(path) as temporary:
         tifffile.imwrite(temporary, pages, imagej=True, metadata=metadata, resolution=resolution)
 

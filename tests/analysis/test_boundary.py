@@ -68,3 +68,19 @@ def test_any_text_is_an_edge_or_one_line(text):
         parse_edge("top", text, SHAPE, PIXEL)
     except InputError as error:
         assert "top" in str(error) or ":" in str(error)  # noqa: PT017
+
+
+VOLUME, VOXEL = (30, 40, 60), (4.0, 2.0, 8.0)
+
+
+def test_faces_of_a_volume_move_in_three_directions(tmp_path):
+    moved = parse_edge("back", "moved 8 -6 16 um", VOLUME, VOXEL).motion
+    assert moved.shape == (3, 1, 1)
+    np.testing.assert_allclose(moved[:, 0, 0], [2, -3, 2])
+    assert parse_edge("front", "fixed", VOLUME, VOXEL).motion.shape == (3, 1, 1)
+    with pytest.raises(InputError, match="front: cannot read 'moved 1 2'"):
+        parse_edge("front", "moved 1 2", VOLUME, VOXEL)
+    with pytest.raises(InputError, match="moves by 30 px but the image is only 30 px"):
+        parse_edge("front", "moved 0 0 30", VOLUME, VOXEL)
+    with pytest.raises(InputError, match="a table of motions is of an image's edge"):
+        parse_edge("front", f"moved {tmp_path / 'front.csv'}", VOLUME, VOXEL)

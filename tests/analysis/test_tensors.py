@@ -88,14 +88,16 @@ def test_invariants_do_not_depend_on_the_axes(measure, n, seed):
 @pytest.mark.parametrize("measure", MEASURES)
 @pytest.mark.parametrize("shape", [(31, 23), (9, 14, 11)])
 def test_affine_motions_are_exact_up_to_the_edges(measure, shape, rng):
-    """On pixels that are no squares and voxels that are no cubes."""
+    """On pixels that are no squares and voxels that are no cubes, in the precision of each."""
     n = len(shape)
     G, size = rng.uniform(-0.2, 0.2, (n, n)), np.array([4.0, 2.5, 7.0])[:n]
     x = np.stack(np.indices(shape)[::-1]) * size.reshape(-1, *[1] * n)
     u = np.einsum("ij,j...->i...", G, x) / size.reshape(-1, *[1] * n) + 0.7
     e = strain(u, tuple(size), 12.0, measure)
     expected = measured(G, measure).reshape(-1, *[1] * n)
-    np.testing.assert_allclose(e, np.broadcast_to(expected, e.shape), atol=1e-12)
+    np.testing.assert_allclose(
+        e, np.broadcast_to(expected, e.shape), atol=1e-12 if n == 2 else 2e-6
+    )
 
 
 def test_steps_add_up_in_hencky_s_measure():

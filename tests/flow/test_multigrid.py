@@ -11,9 +11,8 @@ from scipy.ndimage import gaussian_filter
 
 from eofm.compiled import use_threads
 from eofm.errors import InputError
-from eofm.flow import stencils
 from eofm.flow.functional import Pointwise, Quadratic, pairs
-from eofm.flow.multigrid import LOOPS, Level, NotConverged, finest, hierarchy, multigrid
+from eofm.flow.multigrid import LOOPS, Level, NotConverged, hierarchy, multigrid
 from eofm.grid import Grid
 
 SMOOTHNESS = ("gradient", "bending")
@@ -156,7 +155,7 @@ def test_product_is_that_of_the_matrix(shape, smoothness):
     F = problem(shape, smoothness, spacing=(1.5, 0.7, 1.1)[: len(shape)], free="pixels")
     u = np.random.default_rng(0).normal(size=F.terms.b.shape) * F.free
     q = np.empty_like(u)
-    energy = LOOPS[len(shape)].product(q, padded(u), finest(F)).sum()
+    energy = LOOPS[len(shape)].product(q, padded(u), F.operator()).sum()
     expected = F.field(F.a() @ u[:, F.free].ravel() / 2)
     np.testing.assert_allclose(q, expected, atol=1e-12 * np.abs(expected).max())
     assert energy == pytest.approx(np.vdot(u, expected))
@@ -176,7 +175,7 @@ def test_coarse_grid_has_the_energy_of_what_it_interpolates(shape):
         """That of the pointwise term alone."""
         axes = tuple(np.zeros_like(X) for X in operator.axes)
         for X, own in zip(axes, operator.axes, strict=True):
-            X[stencils.M] = own[stencils.M]
+            X[operator.M] = own[operator.M]
         q = np.empty(inner(u).shape)
         return loops.product(q, u, operator._replace(axes=axes)).sum()
 
@@ -215,7 +214,7 @@ def test_restriction_is_the_transpose_of_the_interpolation(shape):
 def test_smoother_is_bounded(shape, smoothness):
     """``K <= D``: no step from zero of an eigenvector of D^-1 K goes beyond its solution."""
     F = problem(shape, smoothness, image="bubbles", free="pixels", scale=30.0)
-    loops, K = LOOPS[len(shape)], finest(F)
+    loops, K = LOOPS[len(shape)], F.operator()
     rng = np.random.default_rng(0)
     x = padded(rng.normal(size=F.terms.b.shape) * F.free)
     q, y = np.empty_like(F.terms.b), np.zeros_like(x)

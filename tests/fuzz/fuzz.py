@@ -8,9 +8,11 @@ was mended to ``tests/fuzz/corpus``; the tests read all that is there.
 """
 
 import argparse
+import logging
 import multiprocessing
 import os
 import resource
+import shutil
 import signal
 import sys
 import tempfile
@@ -26,21 +28,26 @@ from typing import Any
 
 import numpy as np
 
-sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[2] / "workflow/scripts")]
+sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[1])]
+sys.path += [str(Path(__file__).parents[2] / "workflow/scripts")]
 
 import seeds
 from commands import read_samples, sample_files, sample_words
 
 from eofm import io
 from eofm.errors import InputError
-from eofm.io import formats, hdf5
+from eofm.io import dicom, formats, hdf5, nifti, omezarr
 
 SECONDS, MEMORY, IMAGE = 10, 1 << 30, 1 << 26
-# The library for HDF5 does hang and crash; so many of its ends are tried in its own process.
-HDF5_SECONDS, CONTAINED = 2, 20
+# Libraries hang and crash, that for HDF5 the most; so many ends are tried in its own process.
+APART_SECONDS, CONTAINED = 2, 20
 # Shares of the kinds: those that trust a file's lengths most often come most often.
 SHARES = {".tif": 30, ".mat": 20, ".png": 10, ".npy": 10, ".npz": 6, ".csv": 8, ".yaml": 4}
-SHARES |= {".tsv": 4, "hdf5": 2}
+SHARES |= {".tsv": 4, ".mha": 6, ".nrrd": 6, ".oct": 6, "hdf5": 2, "nifti": 2, "dicom": 2}
+SHARES |= {"zarr": 1}
+# Those that the command reads in a child, by the modules that do.
+APART = {"hdf5": hdf5, "nifti": nifti, "dicom": dicom, "zarr": omezarr}
+ENDINGS = {"hdf5": ".mat", "nifti": ".nii", "dicom": ".dcm", "zarr": ".zip"}
 LONGEST = 700
 
 
@@ -54,16 +61,28 @@ def read(kind: str, path: Path) -> None:
         for row in read_samples(str(path)).values():
             assert all(word.startswith("--") for word in sample_words(row))
             sample_files(row)
-    elif kind == "hdf5":
-        # The command reads these in a child; without it a crash shows in this process.
+    elif kind in APART:
+        # Without the child a crash shows in this process.
         try:
-            hdf5.read(str(path), "", IMAGE)
-        except (ValueError, OSError, RuntimeError, KeyError, TypeError) as error:
+            APART[kind].read(str(unpacked(path)), "", IMAGE)
+        except Exception as error:  # as the child does
             raise InputError(" ".join(str(error).split())[:200]) from None
     else:
         I = io.read_image(path)
         assert (I.ndim, I.dtype) in ((2, np.float64), (3, np.float32))
         assert np.isfinite(I).all()
+
+
+def unpacked(path: Path) -> Path:
+    """A file, or the folder that is packed in it."""
+    if path.suffix != ".zip":
+        return path
+    folder = path.with_suffix(".zarr")
+    shutil.rmtree(folder, ignore_errors=True)
+    for name, data in seeds.members(path.read_bytes()).items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(data)
+    return folder
 
 
 def damaged(kinds: dict[str, list[bytes]], seed: int, number: int) -> tuple[str, bytes]:
@@ -76,6 +95,7 @@ def damaged(kinds: dict[str, list[bytes]], seed: int, number: int) -> tuple[str,
 def work(seed: int, first: int, step: int, count: int, say: Connection) -> None:
     """Read every ``step``-th damaged file from the ``first`` on, and say what happens."""
     warnings.simplefilter("ignore")
+    logging.disable()
     io.limit_size(IMAGE / 2**30)
     kinds = seeds.make()
     used = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
@@ -85,10 +105,10 @@ def work(seed: int, first: int, step: int, count: int, say: Connection) -> None:
     with tempfile.TemporaryDirectory(dir=shared) as folder:
         for number in range(first, count, step):
             kind, data = damaged(kinds, seed, number)
-            path = Path(folder, f"f{kind if kind[0] == '.' else '.mat'}")
+            path = Path(folder, f"f{ENDINGS.get(kind, kind)}")
             path.write_bytes(data)
             say.send((number, None, None))
-            signal.alarm(HDF5_SECONDS if kind == "hdf5" else SECONDS)
+            signal.alarm(APART_SECONDS if kind in APART else SECONDS)
             outcome, fault = _outcome(kind, path)
             signal.alarm(0)
             say.send((number, (kind, outcome), fault))
@@ -126,12 +146,12 @@ def fuzz(
 
     def note(number: int, fault: str) -> None:
         kind, data = damaged(kinds, seed, number)
-        contained = kind == "hdf5" and fault.startswith("ends")
+        contained = kind in APART and fault.startswith("ends")
         if fault.startswith("ends"):
             results[kind, "contained" if contained else "fault"] += 1
         found.mkdir(parents=True, exist_ok=True)
         name = f"{'contained' if contained else 'fault'}_{seed}_{number}"
-        path = found / f"{name}{kind if kind[0] == '.' else '.mat'}"
+        path = found / f"{name}{ENDINGS.get(kind, kind)}"
         path.write_bytes(data)
         if contained:
             fault = _contained(path) if results[kind, "contained"] <= CONTAINED else ""
@@ -167,9 +187,9 @@ def fuzz(
 
 def _contained(path: Path) -> str:
     """What is wrong with the line that the command has for a file that ends its reader."""
-    formats.PATIENCE = HDF5_SECONDS
+    formats.PATIENCE = APART_SECONDS
     try:
-        io.read_image(path)
+        io.read_image(unpacked(path))
     except InputError as error:
         return "" if "\n" not in str(error) else "more than one line"
     return ""  # what ends the process now and then may be read at other times

@@ -10,9 +10,12 @@ from random import Random
 from tempfile import TemporaryDirectory
 
 import h5py
+import nibabel
 import numpy as np
 import tifffile
+from made import write_dicom, write_mha, write_nrrd, write_oct, write_zarr
 from PIL import Image
+from pydicom.uid import ExplicitVRLittleEndian, RLELossless
 from scipy.io import savemat
 
 from eofm.io import write_field
@@ -71,7 +74,52 @@ def sound(folder: Path) -> dict[str, list[bytes]]:
         with h5py.File(folder / "A.mat", "w", libver="latest" if more else "earliest") as file:
             file.create_dataset("A", data=I, **more).attrs["MATLAB_class"] = b"uint8"
         found["hdf5"].append((folder / "A.mat").read_bytes())
+    found |= _foreign(folder)
     return found | {".csv": [TABLE], ".yaml": [SETTINGS], ".tsv": [SAMPLES]}
+
+
+def _foreign(folder: Path) -> dict[str, list[bytes]]:
+    """Those of other instruments."""
+    found: dict[str, list[bytes]] = {}
+
+    def take(kind: str, path: Path) -> None:
+        found.setdefault(kind, []).append(path.read_bytes())
+
+    values = STACK.astype(np.float32)
+    for packed in (False, True):
+        write_mha(folder / "A.mha", values, "0.1 0.2 0.3", packed)
+        take(".mha", folder / "A.mha")
+        more = 'spacings: .1 .2 .3\nunits: "mm" "mm" "mm"\nkinds: space space space\n'
+        write_nrrd(folder / "A.nrrd", values, packed, more)
+        take(".nrrd", folder / "A.nrrd")
+        kind = ("Complex", values * 1j) if packed else ("Real", values)
+        listed = {"Intensity": (kind[1].astype("<c8" if packed else "<f4"), kind[0])}
+        write_oct(folder / "A.oct", listed, packed=zipfile.ZIP_DEFLATED * packed)
+        take(".oct", folder / "A.oct")
+        write_dicom(folder / "A.dcm", STACK, (ExplicitVRLittleEndian, RLELossless)[packed])
+        take("dicom", folder / "A.dcm")
+        make = (nibabel.Nifti1Image, nibabel.Nifti2Image)[packed]
+        nibabel.save(make(values.T, np.diag([0.1, 0.2, 0.3, 1])), folder / "A.nii")
+        take("nifti", folder / "A.nii")
+        write_zarr(folder / "A.zarr", values, 3 if packed else 2)
+        files = [file for file in sorted((folder / "A.zarr").rglob("*")) if file.is_file()]
+        named = {str(f.relative_to(folder / "A.zarr")): f.read_bytes() for f in files}
+        found.setdefault("zarr", []).append(_packed(named))
+    return found
+
+
+def members(packed: bytes) -> dict[str, bytes]:
+    """The files of a folder that is packed in a file."""
+    with zipfile.ZipFile(io.BytesIO(packed)) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def _packed(files: dict[str, bytes]) -> bytes:
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, data in files.items():
+            archive.writestr(name, data)
+    return file.getvalue()
 
 
 def damaged(kind: str, sounds: list[bytes], random: Random) -> bytes:
@@ -88,6 +136,12 @@ def damaged(kind: str, sounds: list[bytes], random: Random) -> bytes:
         return _npz(_part(_npy(I), random, lambda d: change(d, random), 128))
     if kind == ".mat" and random.random() < 0.5:
         return _mat(data, random)
+    if kind in (".mha", ".nrrd", "dicom", "nifti") and random.random() < 0.7:
+        return _part(data, random, lambda d: change(d, random), 400)
+    if kind == "zarr" or (kind == ".oct" and random.random() < 0.7):
+        files = members(data)
+        name = random.choice(sorted(files))
+        return _packed(files | {name: change(files[name], random)})
     return change(data, random)
 
 

@@ -69,11 +69,11 @@ rule samples_summary:
             category="Samples",
         ),
         page=report(
-            directory("results/samples_page"),
+            f"{OWN}/index.html",
             caption="../report/samples.rst",
             category="Samples",
-            htmlindex="index.html",
         ),
+        table=f"{OWN}/table.html",
     log:
         "logs/samples_summary.log",
     benchmark:

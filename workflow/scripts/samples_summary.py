@@ -1,30 +1,23 @@
-"""One table of all samples, and a page that shows it with their figures."""
+"""One table of all samples, as CSV and as pages."""
 
-import html
 import json
-import os
 from pathlib import Path
 
 import pandas as pd
+from samples_page import page, table
 
 from eofm.io import replacing
 
 FIRST = ["sample", "state", "reason", "verdict", "seconds"]
 
 states = [json.loads(Path(file).read_text()) for file in snakemake.input.states]
-table = pd.DataFrame(states, columns=[*FIRST, *sorted({k for s in states for k in s} - {*FIRST})])
-table = table.drop(columns="key", errors="ignore")
+columns = [*FIRST, *sorted({k for s in states for k in s} - {*FIRST})]
+rows = pd.DataFrame(states, columns=columns).drop(columns="key", errors="ignore")
 with replacing(Path(snakemake.output.csv)) as temporary:
-    table.to_csv(temporary, index=False, float_format="%.6g")
-
-page = Path(snakemake.output.page)
-page.mkdir(parents=True, exist_ok=True)
-lines = ["<!doctype html><meta charset=utf-8><title>Samples</title>", table.to_html(index=False)]
-for file in map(Path, snakemake.input.states):
-    name = file.parent.name
-    for figure in sorted(file.parent.glob("*.png")):
-        shown = f"{name}-{figure.name}"
-        os.link(figure, page / shown)
-        lines += [f"<h2>{html.escape(figure.stem)} of {html.escape(name)}</h2>"]
-        lines += [f'<img src="{html.escape(shown)}" style="max-width: 100%">']
-(page / "index.html").write_text("\n".join(lines) + "\n")
+    rows.to_csv(temporary, index=False, float_format="%.6g")
+folder = Path(snakemake.output.csv).parent
+with replacing(Path(snakemake.output.page)) as temporary:
+    temporary.write_text(page(states, folder), encoding="utf-8")
+# For the first page of the report, which lies beside the folder results.
+with replacing(Path(snakemake.output.table)) as temporary:
+    temporary.write_text(table(states, folder, folder.as_posix()), encoding="utf-8")
