@@ -49,8 +49,9 @@ def layers(folder: Path) -> list[Layer]:
             f"{folder}: holds no complete results; make them with eofm sample"
         ) from None
     unit = "um" if summary.get("pixel_size_from") else "px"
+    lengths = {"scale": sides[::-1], "units": ["um" if unit == "um" else "pixel"] * len(sides)}
     return [
-        (data, {**more, "scale": sides[::-1]}, kind)
+        (data, {**more, **lengths}, kind)
         for data, more, kind in _layers(folder, images, u, sides, unit)
     ]
 

@@ -35,6 +35,7 @@ RESULTS = (
     *SOMETIMES,
     "displacement.tif",
     "images.tif",
+    "results.vti",
     "strain.tif",
     "strain_invariants.tif",
     "trust.tif",
@@ -55,10 +56,10 @@ def write_results(
     ``displacement_um.tif`` if the size of a pixel is known, ``deviation.tif`` (px), ``strain.tif``,
     ``strain_invariants.tif`` (principal strains, change of volume, maximum shear), ``trust.tif``
     (correlation of the images after the motion), all but the images NaN in dead zones,
-    ``bubbles.csv``, ``report.html`` (one page that explains them), ``summary.json``,
-    ``provenance.json``, for sequences also
-    ``increments.tif``, with an identified sample ``stiffness.tif`` and
-    ``stiffness_deviation.tif`` (of log E), and the figures
+    ``results.vti`` (the same for ParaView), ``bubbles.csv``, ``report.html`` (one page that
+    explains them), ``summary.json``, ``provenance.json``, for sequences also ``increments.tif``,
+    with an identified sample ``stiffness.tif`` and ``stiffness_deviation.tif`` (of log E), and
+    the figures
     ``pair``, ``displacement``, ``strain``, ``quality`` and ``stiffness`` as files of some
     ``kinds``: png, pdf.
     What an earlier run left there and this one does not make is removed. All files appear
@@ -68,6 +69,7 @@ def write_results(
         for name in SOMETIMES:
             io.remove(folder / name)
         _write_fields(results, folder)
+        _write_vti(results, folder)
         if kinds:
             _write_figures(results, folder, kinds)
         made = io.Origin.current() or io.Origin("analyse", {})
@@ -78,6 +80,26 @@ def write_results(
         io.write_json(folder / "provenance.json", made.record() | {"run": made.run()})
         summary = {"images": list(images)} | results.summary | {"provenance": made.record()}
         io.write_json(folder / "summary.json", summary)
+
+
+def _write_vti(results: Analysis, folder: Path) -> None:
+    """All fields on the first frame, lengths in the unit of its sides, which warping asks for."""
+    n = results.first.ndim
+    unit = "um" if results.summary["pixel_size_from"] else "px"
+    side = componentwise(results.pixel_size if unit == "um" else (1.0,) * n, n)
+    arrays = {"first frame": results.first, f"displacement [{unit}]": results.u * side}
+    if results.deviation is not None:
+        arrays[f"standard deviation [{unit}]"] = results.deviation * side
+    arrays["strain"] = results.strain
+    arrays |= invariants(results.strain, results.summary["strain_measure"])
+    arrays |= {"match of the images": results.trust.map, "share of the images": shares(results)}
+    first = results.steps[0].stiffness
+    if first is not None and not first.refused:
+        arrays["relative modulus"] = first.E
+    seen = {name: np.where(results.dead, np.nan, f) for name, f in arrays.items()}
+    seen["first frame"] = results.first
+    components = {"strain": labels(n)}
+    io.write_vti(folder / "results.vti", seen, results.pixel_size, components)
 
 
 def _write_figures(results: Analysis, folder: Path, kinds: Sequence[str]) -> None:

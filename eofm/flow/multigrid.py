@@ -40,8 +40,12 @@ COUPLINGS = {2: 12, 3: 42}
 COARSEST = 6
 # Nodes of a volume that need no coarser grid, and those along an axis that is not coarsened.
 FEW, THIN = 330, 3
-# Largest pointwise term, over the smoothness term, for which its average does on coarse grids.
-AVERAGE = {"gradient": 1.0, "bending": 0.02}
+# Largest pointwise term, over the smoothness term, for which its average does on coarse grids. In
+# volumes couplings cost more: half the time of an iteration, and 25 bytes a voxel.
+AVERAGE = {
+    2: {"gradient": 1.0, "bending": 0.02},
+    3: {"gradient": 5.0, "bending": 0.04},
+}
 # The same, for which few steps of the smoother do.
 CONTRAST = 50.0
 # The same, below which single precision does for the preconditioner: in D^-1 it costs so much
@@ -194,17 +198,16 @@ class Level:
     def correct(self, b: Real, visits: int = 1) -> Real:
         """Field close to K^-1 b: linear, symmetric and positive definite in b."""
         for visit in range(visits):
-            self._smooth(b, visit == 0)
+            self._smooth(b, from_zero=visit == 0)
             self.loops.restrict(self.b, b, self.x, self.transfer, self.operator)
             e = self.coarse.correct(self.b, self.visits)
             self.loops.prolong(self.x, e, self.operator.free, self.transfer)
-            self._smooth(b, False)
+            self._smooth(b, from_zero=False)
         return self.x
 
     def _smooth(self, b: Real, from_zero: bool) -> None:
-        for step in range(1, self.degree + 1):
-            self.loops.chebyshev(self.y, self.x, b, step, from_zero and step == 1, self.operator)
-            self.x, self.y = self.y, self.x
+        steps, smooth = range(1, self.degree + 1), self.loops.smooth
+        self.x, self.y = smooth(self.x, self.y, b, steps, from_zero, self.operator)
 
 
 class Coarsest:
@@ -275,7 +278,9 @@ def hierarchy(F: Quadratic) -> Level | Coarsest:
         )
     double = own == np.float64 and (operator.bending or contrast > SINGLE)
     precision = np.float64 if double else np.float32
-    average = contrast <= AVERAGE[F.smoothness] and free[*[slice(1, -1)] * free.ndim].all()
+    average = (
+        contrast <= AVERAGE[free.ndim][F.smoothness] and free[*[slice(1, -1)] * free.ndim].all()
+    )
     couplings = 0 if average else COUPLINGS[free.ndim]
 
     levels: list[tuple[Operator, Transfer]] = []
@@ -339,7 +344,8 @@ def _rigid_energy(F: Quadratic, stiffness: float) -> Array:
 
     def energy(A: Array | Mask) -> Array:
         """From the moments of A, slice by slice: sums in double precision."""
-        moments = np.stack([powers[1] @ a @ powers[0].T for a in A.reshape(-1, *A.shape[-2:])])
+        slices = (a.astype(np.float64, copy=False) for a in A.reshape(-1, *A.shape[-2:]))
+        moments = np.stack([powers[1] @ a @ powers[0].T for a in slices])
         for further in powers[2:]:
             moments = np.tensordot(further, moments, 1)
         moments = moments.reshape([3] * n)

@@ -176,6 +176,16 @@ def chebyshev(y: Real, x: Real, b: Real, step: int, from_zero: bool, K: Operator
     share(_chebyshev, K.shape[0], K.free.size, y, x, b, c1, c2, from_zero, K)
 
 
+def smooth(
+    x: Real, y: Real, b: Real, steps: range, from_zero: bool, K: Operator
+) -> tuple[Real, Real]:
+    """Do steps of :func:`chebyshev` from x, and return the last iterate and the one before."""
+    for step in steps:
+        chebyshev(y, x, b, step, from_zero and step == 1, K)
+        x, y = y, x
+    return x, y
+
+
 @compiled
 def _restrict(first, last, rc, b, x, transfer, K):
     (J1, t1), (J2, t2) = transfer

@@ -44,7 +44,7 @@ def make_phantom(u: Array, settings: Phantom = Phantom()) -> tuple[Array, Array,
     Raises
     ------
     InputError
-        If the bubbles do not fit into the sample at the distance wanted.
+        If the bubbles do not fit into the sample at the distance wanted, or are too many.
 
     Examples
     --------
@@ -55,6 +55,11 @@ def make_phantom(u: Array, settings: Phantom = Phantom()) -> tuple[Array, Array,
     ((40, 60), 50, True)
     """
     shape = u.shape[1:]
+    if settings.count > math.prod(shape):
+        raise InputError(
+            f"count: {settings.count} bubbles are more than the image has pixels,"
+            f" {shape[0]} x {shape[1]}"
+        )
     place, look, noise = (np.random.default_rng([settings.seed, k]) for k in range(3))
     x = scatter(shape, settings.count, settings.distance, place)
     motion = evaluate_field(u, x).astype(np.float64)

@@ -23,6 +23,8 @@ Complex = NDArray[np.complex128]
 # Scatterers whose echoes are summed at once, and the widths of a Gaussian as it is cut off.
 AT_ONCE = 2**17
 REACH = 6.0
+# Scatterers for each pixel beyond which a setting has the wrong unit.
+DENSEST = 100
 
 
 class Scatterers(NamedTuple):
@@ -129,10 +131,23 @@ def motion(u: Array, x: Array, scale: float) -> Array:
 
 
 def fill(shape: tuple[int, int], settings: VirtualOct) -> Scatterers:
-    """Weak scatterers everywhere and a few strong reflectors, at random places."""
+    """Weak scatterers everywhere and a few strong reflectors, at random places.
+
+    Raises
+    ------
+    InputError
+        If they are too many.
+    """
     weak, strong = (np.random.default_rng([settings.seed, k]) for k in (0, 1))
     sides = np.array(shape[::-1]) - 1.0
-    count = round(settings.density * sides.prod() / (np.pi * np.prod(widths(settings))))
+    number = settings.density * sides.prod() / (np.pi * np.prod(widths(settings)))
+    if number + settings.reflectors > DENSEST * sides.prod():
+        raise InputError(
+            f"density: makes {number + settings.reflectors:.3g} scatterers with the reflectors in a"
+            f" sample of {sides.prod():.3g} px; check the units of density, pixel_size and"
+            " resolutions"
+        )
+    count = round(number)
     x = weak.uniform(0, sides, (count, 2)), strong.uniform(0, sides, (settings.reflectors, 2))
     # By depth: what follows touches a few rows of the images at a time.
     x = x[0][np.argsort(x[0][:, 1], kind="stable")], x[1]

@@ -97,6 +97,25 @@ def test_new_files_hold_what_they_say(written, results):
     assert np.isnan(values[:, results.dead]).all()
 
 
+def test_paraview_has_all_fields_on_the_grid_of_the_image(written, results):
+    data = (written / "results.vti").read_bytes()
+    head, _, values = data.partition(b'<AppendedData encoding="raw">\n_')
+    text = head.decode()
+    assert 'Spacing="4.0 2.0 1.0"' in text
+    fields = dict(re.findall(r'Name="([^"]+)" NumberOfComponents="\d"[^>]*offset="(\d+)"', text))
+    assert {"first frame", "strain", "principal 1", "maximum shear", "share of the images"} <= (
+        fields.keys()
+    )
+    start = int(fields["displacement [um]"]) + 8
+    count = 3 * results.first.size
+    u = np.frombuffer(values, "<f4", count, start).reshape(*results.first.shape, 3)
+    expected = results.u * np.reshape([4.0, 2.0], (2, 1, 1))
+    live = ~results.dead
+    np.testing.assert_allclose(u[live][:, :2], expected[:, live].T, rtol=1e-5, atol=1e-6)
+    assert np.isnan(u[~live][:, :2]).all()
+    assert 'ComponentName1="e22 axial"' in text
+
+
 def test_layers_are_the_results_in_true_lengths(written, results):
     found = {more["name"]: (data, more, kind) for data, more, kind in layers(written)}
     assert all(more["scale"] == [2.0, 4.0] for _, more, _ in found.values())

@@ -59,7 +59,7 @@ class Run:
 
     def end(self, process):
         """Wait for the end, and return its status and all that it said."""
-        said = process.communicate(timeout=300)[1]
+        said = process.communicate(timeout=1800)[1]
         return process.returncode, said
 
     def states(self):
@@ -68,7 +68,7 @@ class Run:
 
     def wait_for_a_row(self, process):
         """Wait until a row is at work; return its process."""
-        for _ in range(2000):
+        for _ in range(12000):
             if found := self.jobs("spawn_main"):
                 return found[0]
             assert process.poll() is None, self.end(process)
@@ -115,8 +115,6 @@ def undisturbed(checkout, tmp_path_factory):
     return run.results()
 
 
-# A child that is being started when Ctrl-C ends its group prints Python's own traceback: open.
-@pytest.mark.xfail(reason="a traceback of a child that was just being started", strict=False)
 def test_a_run_goes_on_after_every_end_with_the_same_bytes(checkout, undisturbed, tmp_path):
     folder = tmp_path / "Prüf ordner α 日本"
     folder.mkdir()
@@ -141,7 +139,9 @@ def test_a_run_goes_on_after_every_end_with_the_same_bytes(checkout, undisturbed
     process = run.start()
     run.wait_for_a_row(process)
     process.kill()
-    run.end(process)
+    # Its jobs hold its standard error: to read that to the end would be to wait for them.
+    process.wait()
+    process.stderr.close()
     orphans = run.jobs("")
     assert orphans
 

@@ -1,5 +1,8 @@
 """The forms a and b against an independent assembly, and their convergence."""
 
+from dataclasses import replace
+from itertools import product
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -7,61 +10,79 @@ from conftest import speckle
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle import direct
-from skfem import Basis, BilinearForm, ElementQuad1, LinearForm, MeshQuad
+from skfem import Basis, BilinearForm, ElementHex1, ElementQuad1, LinearForm, MeshHex, MeshQuad
 from skfem.helpers import dot, grad
 
-from eofm.flow.functional import Pointwise, Quadratic, data_term, smoothness_energy, speckle_term
+from eofm.flow.functional import (
+    Pointwise,
+    Quadratic,
+    data_term,
+    pairs,
+    smoothness_energy,
+    speckle_term,
+)
+from eofm.flow.multigrid import multigrid
 from eofm.grid import Grid
 from eofm.imaging.splines import gradient
 
-SIZES = [(8, 8), (9, 14), (13, 7), (16, 31)]
-VERTICES = (np.array([[0.0, 1, 0, 1], [0, 0, 1, 1]]), np.full(4, 0.25))
+SIZES = [(8, 8), (9, 14), (13, 7), (16, 31), (5, 8, 7), (6, 4, 9)]
+ELEMENTS = {2: (MeshQuad, ElementQuad1()), 3: (MeshHex, ElementHex1())}
 
 
-def problem(shape, rng, spacing=(1.0, 1.0), alpha=0.8, smoothness="gradient", edges=True):
+def problem(shape, rng, spacing=None, alpha=0.8, smoothness="gradient", edges=True):
+    n = len(shape)
+    spacing = (1.0,) * n if spacing is None else spacing
     grid = Grid(shape, spacing)
     I1, I2 = speckle(shape, rng), speckle(shape, rng)
-    data = data_term(gradient(I1, spacing), I2 - I1, rng.random(shape) < 0.9)
-    x = rng.uniform(0, 1, (2, 6)) * np.reshape(grid.lengths, (2, 1))
+    g = np.stack(np.gradient(I1, *spacing[::-1])[::-1]) if n == 3 else gradient(I1, spacing)
+    data = data_term(g, I2 - I1, rng.random(shape) < 0.9)
+    x = rng.uniform(0, 1, (n, 6)) * np.reshape(grid.lengths, (n, 1))
     free = np.ones(shape, bool)
     if edges:
         free[[0, -1]] = False
-    terms = data + speckle_term(grid, x, rng.normal(size=(2, 6)), 0.5, 2.0)
+    terms = data + speckle_term(grid, x, rng.normal(size=(n, 6)), 0.5, 2.0)
     return Quadratic(grid, terms, alpha, free, smoothness)
 
 
 def by_scikit_fem(F):
     """a and b assembled by scikit-fem with the same quadrature, on all pixels."""
-    basis = Basis(MeshQuad.init_tensor(*F.grid.axes), ElementQuad1(), quadrature=VERTICES)
+    n = F.grid.ndim
+    mesh, element = ELEMENTS[n]
+    vertices = np.array(list(product((0.0, 1.0), repeat=n))).T
+    quadrature = vertices, np.full(2**n, 0.5**n)
+    basis = Basis(mesh.init_tensor(*F.grid.axes), element, quadrature=quadrature)
     # Index of the pixel under each node, and under each quadrature point.
     h = np.array(F.grid.spacing)
     pixel = np.rint(basis.doflocs.T / h).astype(int)
     order = np.lexsort(pixel.T)
-    column, row = np.rint(np.asarray(basis.global_coordinates()) / h[:, None, None]).astype(int)
+    points = np.asarray(basis.global_coordinates()) / h[:, None, None]
+    at = tuple(np.rint(points).astype(int)[::-1])
 
     @BilinearForm
     def stiffness(u, v, w):
         return F.alpha * dot(grad(u), grad(v))
 
     def mass(values):
-        return BilinearForm(lambda u, v, w: values[row, column] * u * v).assemble(basis)
+        return BilinearForm(lambda u, v, w: values[at] * u * v).assemble(basis)
 
     def load(values):
-        return LinearForm(lambda v, w: values[row, column] * v).assemble(basis)
+        return LinearForm(lambda v, w: values[at] * v).assemble(basis)
 
     R = stiffness.assemble(basis)
-    A11, A12, A22 = (mass(A) for A in F.terms.A)
-    a = 2 * sp.block_array([[A11 + R, A12], [A12, A22 + R]], format="csr")
+    blocks = [[None] * n for _ in range(n)]
+    for A, (i, j) in zip(F.terms.A, pairs(n), strict=True):
+        blocks[i][j] = blocks[j][i] = mass(A) + R if i == j else mass(A)
+    a = 2 * sp.block_array(blocks, format="csr")
     b = 2 * np.concatenate([load(c) for c in F.terms.b])
-    both = np.concatenate([order, order + len(order)])
-    keep = np.flatnonzero(np.tile(F.free.ravel(), 2))
-    return a[both][:, both][keep][:, keep], b[both][keep]
+    all_of_them = np.concatenate([order + c * len(order) for c in range(n)])
+    keep = np.flatnonzero(np.tile(F.free.ravel(), n))
+    return a[all_of_them][:, all_of_them][keep][:, keep], b[all_of_them][keep]
 
 
 @pytest.mark.parametrize("shape", SIZES)
 @pytest.mark.parametrize("edges", [True, False])
 def test_forms_agree_with_scikit_fem(shape, edges, rng):
-    F = problem(shape, rng, (1.5, 0.8), edges=edges)
+    F = problem(shape, rng, (1.5, 0.8, 1.1)[: len(shape)], edges=edges)
     a, b = by_scikit_fem(F)
     assert abs(F.a() - a).max() < 1e-8 * abs(a).max()
     np.testing.assert_allclose(F.b(), b, atol=1e-8 * abs(b).max())
@@ -147,6 +168,19 @@ def test_one_bubble_weighs_beta():
     assert not term.A[1].any()
 
 
+@pytest.mark.parametrize("smoothness", ["gradient", "bending"])
+@pytest.mark.parametrize("shape", [(12, 17), (6, 9, 8)])
+def test_shifting_moves_the_minimiser(shape, smoothness, rng):
+    F = problem(shape, rng, (1.5, 0.8, 1.1)[: len(shape)], smoothness=smoothness)
+    p = rng.normal(size=F.terms.b.shape)
+    everywhere = replace(F, free=np.ones(shape, dtype=bool))
+    expected = everywhere.b() - everywhere.a() @ p.ravel()
+    tolerance = 1e-6 * np.abs(expected).max()
+    np.testing.assert_allclose(
+        replace(F.shifted(p), free=everywhere.free).b(), expected, atol=tolerance
+    )
+
+
 def manufactured(n, smooth=0.8):
     """Error of the solution of a smooth problem with known solution on n x n cells."""
     grid = Grid((n + 1, n + 1), (1 / n, 1 / n))
@@ -164,8 +198,28 @@ def manufactured(n, smooth=0.8):
     return np.sqrt((error**2).mean())
 
 
-def test_manufactured_solution_converges_with_rate_two():
-    errors = [manufactured(n) for n in (16, 32, 64)]
+def manufactured_volume(n, smooth=0.8):
+    """The same on n x n x n cells, solved by multigrid."""
+    grid = Grid((n + 1,) * 3, (1 / n,) * 3)
+    x3, x2, x1 = np.meshgrid(*grid.axes[::-1], indexing="ij")
+    s, c, pi = np.sin, np.cos, np.pi
+    # v = 0 on the first and last slice, natural on the other faces.
+    v = np.stack([c(k * pi * x1) * c(pi * x2) * s(pi * x3) for k in (1, 2, 0)])
+    laplace = -(pi**2) * np.reshape([3, 6, 2], (3, 1, 1, 1)) * v
+    g = np.stack([1 + x1 * x2, c(x2), 1 + x3 * x1])
+    A = np.stack([g[i] * g[j] + (i == j) for i, j in pairs(3)])
+    free = np.ones(grid.shape, bool)
+    free[[0, -1]] = False
+    load = -smooth * laplace + Pointwise(A, v).product(v)
+    error = multigrid(Quadratic(grid, Pointwise(A, load), smooth, free), tol=1e-10) - v
+    return np.sqrt((error**2).mean())
+
+
+@pytest.mark.parametrize(
+    ("solve", "sizes"), [(manufactured, (16, 32, 64)), (manufactured_volume, (8, 16, 32))]
+)
+def test_manufactured_solution_converges_with_rate_two(solve, sizes):
+    errors = [solve(n) for n in sizes]
     rates = np.log2(np.divide(errors[:-1], errors[1:]))
     np.testing.assert_allclose(rates, 2, atol=0.1)
 

@@ -11,6 +11,7 @@ from scipy.ndimage import gaussian_filter
 
 from eofm.compiled import use_threads
 from eofm.errors import InputError
+from eofm.flow import stencils3
 from eofm.flow.functional import Pointwise, Quadratic, pairs
 from eofm.flow.multigrid import LOOPS, Level, NotConverged, hierarchy, multigrid
 from eofm.flow.operator import M
@@ -221,7 +222,7 @@ def test_smoother_is_bounded(shape, smoothness):
     q, y = np.empty_like(F.terms.b), np.zeros_like(x)
     for _ in range(60):  # power iteration with D^-1 K
         loops.product(q, x, K)
-        loops.chebyshev(y, np.zeros_like(x), q, 1, True, K)
+        y, _ = loops.smooth(np.zeros_like(x), y, q, range(1, 2), True, K)
         y *= 3 / 4  # the weight of the first step
         largest = np.linalg.norm(y) / np.linalg.norm(x)
         x = y / np.linalg.norm(y)
@@ -359,3 +360,21 @@ def test_single_precision_gives_the_same_field(image, smoothness):
     assert v.dtype == np.float32
     # The terms themselves are rounded.
     assert np.abs(v - exact).max() <= 1e-5 * np.abs(exact).max()
+
+
+@pytest.mark.parametrize("smoothness", SMOOTHNESS)
+@pytest.mark.parametrize("shape", [(70, 67, 20), (37, 9, 300), (9, 70, 12)])
+@pytest.mark.parametrize("from_zero", [True, False])
+def test_steps_that_go_together_are_those_one_by_one(shape, smoothness, from_zero, monkeypatch):
+    """In every byte, wherever slabs, strips and blocks end."""
+    F = problem(shape, smoothness, free="pixels", precision=np.float32)
+    K = F.operator().rounded(np.float32)
+    b = F.terms.b * F.free
+    for degree in (1, 3, 4, 6):
+        results = []
+        for together in (1, 4):
+            monkeypatch.setattr(stencils3, "TOGETHER", together)
+            fields = padded(0.1 * b), padded(0.2 * b)
+            results.append(stencils3.smooth(*fields, b, range(1, degree + 1), from_zero, K))
+        for one_by_one, at_once in zip(*results, strict=True):
+            np.testing.assert_array_equal(at_once, one_by_one)

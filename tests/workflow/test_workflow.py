@@ -80,7 +80,7 @@ def project(tmp_path_factory, pytestconfig):
     (project.root / "pairs.tsv").write_text("\n".join(lines) + "\n")
     project.result = project.run(
         *("--cores", "2", "all", "accuracy", "samples", "virtual_oct"),
-        *("ensemble", "benchmark", "studies"),
+        *("ensemble", "benchmark", "studies", "volume", "benchmark_volume"),
         *("--config", "samples=pairs.tsv"),
     )
     failed = set(re.findall(r"Error in rule (\w+)", project.result.stderr))
@@ -234,6 +234,32 @@ def test_benchmark(project):
     assert solver.iterations.between(2, 30).all()
     assert imread(folder / "benchmark.png").std() > 0.05
     assert (folder / "benchmark.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_volume(project):
+    folder = project.root / "results/volume"
+    table = pd.read_csv(folder / "errors.csv")
+    assert table.images.tolist() == 3 * ["bubbles"] + 3 * ["speckle"]
+    assert table.method.tolist() == 2 * ["background", "test5", "preset"]
+    assert read_field(folder / "speckle/preset/displacement.tif").shape == (3, 24, 28, 32)
+    errors = table.set_index(["images", "method"]).e_rel
+    assert errors["speckle", "preset"] < 0.7 * errors["speckle", "background"]
+    assert {"e_rel_u3", "max_error_u3"} < set(table.columns)
+    for images in ("bubbles", "speckle"):
+        assert imread(folder / f"{images}.png").std() > 0.05
+        assert (folder / f"{images}.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_benchmark_volume(project):
+    table = pd.read_csv(project.root / "results/benchmark/volume.csv")
+    columns = "tool size case seconds peak_mb mean_error_px rms_at_nodes_px coverage threads"
+    assert list(table.columns) == columns.split()
+    cases = table[table.tool == "eofm preset"].set_index("case")
+    assert list(cases.index) == ["speckle", "affine", "noise", "sinusoid"]
+    assert cases["size"].tolist() == [32, 48, 48, 48]
+    assert (cases.seconds > 0).all()
+    assert (cases.rms_at_nodes_px[["affine", "sinusoid"]] < 0.005).all()
+    assert cases.coverage.between(0, 1).all()
 
 
 def test_readings_are_ranked_by_their_distance_from_the_paper(project):

@@ -93,3 +93,25 @@ rule numbers_studies:
         command="snakemake --cores 2 docs/figures/studies.json",
     script:
         "../scripts/numbers_studies.py"
+
+
+# No part of `numbers`: the volumes take half an hour on two cores.
+rule numbers_volume:
+    input:
+        errors=f"{VOLUME}/errors.csv",
+        benchmark=f"{BENCHMARK}/volume.csv",
+        code=code("numbers_volume.py"),
+    output:
+        f"{QUOTED}/volume.json",
+    log:
+        "logs/numbers/volume.log",
+    benchmark:
+        "benchmarks/numbers/volume.tsv"
+    conda:
+        "../envs/eofm.yaml"
+    resources:
+        mem_mb=300,
+    params:
+        command="snakemake --cores 2 docs/figures/volume.json",
+    script:
+        "../scripts/numbers_volume.py"

@@ -1,6 +1,7 @@
 """Run a part of the table of samples; see sample_rows.py."""
 
 import sys
+from multiprocessing import active_children
 from pathlib import Path
 
 from sample_rows import run_rows
@@ -16,4 +17,6 @@ if __name__ == "__main__":
     except OSError as error:  # not even the state of a row can be written
         sys.exit(str(error))
     except KeyboardInterrupt:
+        for process in active_children():
+            process.terminate()
         sys.exit("interrupted; the next run goes on with the rows that are left")

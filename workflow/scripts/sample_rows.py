@@ -68,7 +68,12 @@ def run_rows(rows: dict[str, dict[str, Any]], folder: Path, code: list[str], thr
 
 
 def _pool() -> ProcessPoolExecutor:
-    return ProcessPoolExecutor(1, get_context("spawn"), initializer=_end_with_parent)
+    """A process for rows, which Ctrl-C does not meet while it starts: its parent ends it."""
+    pool = ProcessPoolExecutor(1, get_context("spawn"), initializer=_end_with_parent)
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    pool.submit(os.getpid)
+    signal.signal(signal.SIGINT, before)
+    return pool
 
 
 def _end_with_parent() -> None:

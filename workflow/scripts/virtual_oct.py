@@ -74,10 +74,12 @@ figures = {
     "figure8": compare_errors(shown, truth, settings),
 }
 # As in the paper, red circles show what natural boundary conditions do to standard flow.
-for i, axis in enumerate(figures["figure2"].axes[::2]):
+# Panels stand first among the axes, row by row, and each row begins with standard flow.
+for i, axis in enumerate(figures["figure2"].axes[: len(truth) * len(shown) : len(shown)]):
     for x in natural_places(axis, fields["standard"][i], fields["eofm"][i]):
-        radius = RADIUS * truth.shape[1] * settings.pixel_size[1]
-        circle = Circle(x * settings.pixel_size, radius, fill=False, color="red", clip_on=False)
+        side = scale(settings, 2)
+        radius = RADIUS * truth.shape[1] * side[1]
+        circle = Circle(x * side, radius, fill=False, color="red", clip_on=False)
         axis.add_artist(circle)
 for name, figure in figures.items():
     png = Path(snakemake.output[name])
