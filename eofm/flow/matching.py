@@ -71,8 +71,11 @@ class Match:
         local = around.mean(r2)
         for _ in range(2):
             local = around.mean(np.minimum(r2, CLIPPED * local))
-        least = LEAST_VARIANCE * local[self.used].mean() + TINY
-        constant, slope = _variances(local[self.used], contrast[self.used] ** 2, least)
+        # Both are smooth: some of the pixels tell.
+        told = np.flatnonzero(self.used)[:: int(NOISE)]
+        variances, squares = local.ravel()[told], contrast.ravel()[told] ** 2
+        least = LEAST_VARIANCE * variances.mean() + TINY
+        constant, slope = _variances(variances, squares, least)
         w = 1 / (constant + slope * contrast**2 + least)
         w /= 1 + (r2 / (OUTLIER * (local + least))) ** 2
         w /= w[self.used].mean()
@@ -239,13 +242,16 @@ def brightness(I1: Array, warped: Array, used: Mask) -> tuple[Array, Array, Arra
     around = Window(used, BRIGHTNESS)
 
     def moments(I: Array) -> tuple[Array, Array]:
-        mean = around.mean(I)
-        least = LEAST_CONTRAST * I[used].std()
-        return mean, np.sqrt(np.maximum(around.mean(I**2) - mean**2, 0) + least**2 + TINY)
+        mean, contrast = around.mean(I), around.mean(I, I)
+        contrast -= mean**2
+        np.maximum(contrast, 0, out=contrast)
+        contrast += (LEAST_CONTRAST * np.std(I, where=used)) ** 2 + TINY
+        return mean, np.sqrt(contrast, out=contrast)
 
-    (mean1, contrast1), (mean2, contrast2) = moments(I1), moments(warped)
-    gain = contrast2 / contrast1
-    return gain, mean2 - gain * mean1, contrast2
+    (mean1, gain), (mean2, contrast) = moments(I1), moments(warped)
+    np.divide(contrast, gain, out=gain)
+    mean1 *= gain
+    return gain, np.subtract(mean2, mean1, out=mean2), contrast
 
 
 def _smooth(fields: Sequence[Array], used: Mask, width: float) -> list[Array]:

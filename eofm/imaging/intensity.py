@@ -7,6 +7,7 @@ import numpy as np
 from eofm.errors import InputError
 from eofm.grid import Array, Mask, precision
 from eofm.imaging.gaussian import blur
+from eofm.imaging.sampling import weights
 from eofm.imaging.sums import Terms, add_squares, resample
 from eofm.settings import LARGEST, LEAST
 
@@ -134,13 +135,16 @@ def filled(I: Array, dead: Mask) -> Array:
 class Window:
     """Gaussian averages over the pixels of a mask, of a ``width`` in samples.
 
-    They are smooth, so sums over squares, or cubes, of a third of the width stand for the pixels.
-    At an edge and beside dead zones the pixels that there are count.
+    They are smooth, so sums over squares, or cubes, of half of the width stand for the pixels;
+    averages of these at nodes as far apart make a cubic B-spline, whose blur and that of the
+    squares are parts of the width. At an edge and beside dead zones the pixels that there are
+    count.
     """
 
     def __init__(self, mask: Mask, width: float) -> None:
-        self.mask, self.side = mask.astype(bool, copy=False), max(1, int(width // 3))
-        self.terms = [_terms(n, self.side, width) for n in mask.shape]
+        self.mask, self.side = mask.astype(bool, copy=False), max(1, int(width // 2))
+        self.nodes = [_nodes(n, self.side, width) for n in mask.shape]
+        self.pixels = [_pixels(n, self.side) for n in mask.shape]
         self.share = self._sum(np.ones(()))
         np.maximum(self.share, 1e-6, out=self.share)
 
@@ -160,17 +164,24 @@ class Window:
             parts = (np.broadcast_to(f, shape)[some] for f in factors)
             product = reduce(np.multiply, parts).astype(dtype, copy=False)
             add_squares(sums[first : first + step], product, self.mask[some], self.side)
-        J = np.empty(shape, dtype)
-        resample(J, sums, self.terms)
+        smooth, J = np.empty([len(terms.at) for terms in self.nodes], dtype), np.empty(shape, dtype)
+        resample(smooth, sums, self.nodes)
+        resample(J, smooth, self.pixels)
         return J
 
 
-def _terms(n: int, side: int, width: float) -> Terms:
-    """Squares around each of n samples, and their weights."""
-    count, reach = -(-n // side), int(np.ceil(4 * width / side))
-    pixel = np.arange(n)[:, None]
-    near = pixel // side + np.arange(-reach, reach + 1)
+def _nodes(n: int, side: int, width: float) -> Terms:
+    """Squares around each node, of which two lie beyond each end, and their weights."""
+    count, std = -(-n // side), np.sqrt(width**2 - (side**2 - 1) / 12 - side**2 / 3)
+    node, reach = np.arange(-2, count + 2)[:, None], int(np.ceil(4 * std / side))
+    near = node + np.arange(-reach, reach + 1)
     at = near.clip(0, count - 1)
     centre = (at * side + np.minimum(at * side + side, n) - 1) / 2
-    w = np.where(at == near, np.exp(-0.5 * ((pixel - centre) / width) ** 2), 0.0)
-    return Terms(at, w)
+    distance = node * side + (side - 1) / 2 - centre
+    return Terms(at, np.where(at == near, np.exp(-0.5 * (distance / std) ** 2), 0.0))
+
+
+def _pixels(n: int, side: int) -> Terms:
+    """Nodes around each of n samples, and the weights of the B-spline."""
+    first, t = np.divmod((np.arange(n) - (side - 1) / 2) / side, 1)
+    return Terms(first.astype(np.intp)[:, None] + np.arange(1, 5), np.stack(weights(t)[0], axis=1))
