@@ -18,6 +18,12 @@ HIGHLIGHT, PEAK, MARGIN = 4.0, 5, 2
 RARE = 0.05
 # Length of a line of saturated pixels that no structure makes, px.
 LINE = 32
+# An impulse differs so many times as far from its neighbours' mean as three in four pixels do, and
+# so much of what it differs by from its surroundings from all neighbours but one: the light of
+# no lens does, whose points are wider than a pixel.
+IMPULSE, ALONE = 4.0, 0.7
+# Least part of what surroundings vary by, but for two pixels at either end.
+CLEAR = 0.35
 # Numbers whose sums are taken at once.
 CHUNK = 2**19
 
@@ -96,28 +102,59 @@ def normalise_locally(I: Array, window: tuple[float, ...]) -> Array:
 
 
 def defects(I: Array) -> Mask:
-    """Pixels that show the detector instead of the sample: highlights and saturated lines.
+    """Pixels that show the detector instead of the sample: highlights, saturated lines, impulses.
 
     Saturated pixels as such are none: what is clipped where it is bright moves with the
-    sample. Neither is found where either would make up more than 5 % of the image or volume.
+    sample. None is found where it would make up more than 5 % of the image or volume.
     """
     # Its import takes a tenth of a short estimate.
     from scipy import ndimage
 
+    single = impulses(I)
     above = I - np.median(I)
-    peaks = above[(ndimage.maximum_filter(I, PEAK) <= I) & (above > 0)]
+    peaks = above[(ndimage.maximum_filter(I, PEAK) <= I) & (above > 0) & ~single]
     if not peaks.size:
-        return np.zeros(I.shape, dtype=bool)
-    found = above > HIGHLIGHT * np.quantile(peaks, 0.75)
-    top = (above >= np.max(above, where=~found, initial=0.0)).view(np.uint8)
+        return single
+    found = (above > HIGHLIGHT * np.quantile(peaks, 0.75)) & ~single
+    top = (above >= np.max(above, where=~(found | single), initial=0.0)).view(np.uint8)
     for axis in range(I.ndim if np.count_nonzero(top) >= LINE else 0):
         # A line is what a segment of LINE pixels can cover: of an opening, both steps.
         starts = ndimage.minimum_filter1d(top, LINE, axis, mode="constant")
         lines = ndimage.maximum_filter1d(starts, LINE, axis, mode="constant", origin=-1)
         found |= lines.view(bool)
     if not 0 < found.mean() < RARE:
-        return np.zeros_like(found)
-    return ndimage.binary_dilation(found, iterations=MARGIN)
+        return single
+    return single | ndimage.binary_dilation(found, iterations=MARGIN)
+
+
+def impulses(I: Array) -> Mask:
+    """Single pixels that are bright or dark alone: hot and dead ones, salt and pepper.
+
+    None is found where they would make up more than 5 % of the image or volume.
+    """
+    found = np.zeros(I.shape, dtype=bool)
+    # Half of the sum of second differences, within the image.
+    bump = np.zeros_like(I)
+    for axis in range(I.ndim):
+        step = np.diff(I, axis=axis, append=I.take([-1], axis))
+        bump += np.diff(step, axis=axis, prepend=0 * step.take([0], axis))
+    np.abs(bump, out=bump)
+    large = bump > IMPULSE * np.quantile(bump.ravel()[:: max(1, bump.size // CHUNK)], 0.75)
+    if not 0 < large.mean() < 2 * RARE:
+        return found
+    at = np.nonzero(large)
+    offsets = np.stack(np.meshgrid(*[range(-2, 3)] * I.ndim, indexing="ij")).reshape(I.ndim, -1)
+    padded = np.pad(I, 2, mode="edge")
+    around = padded[tuple(k + o[:, None] + 2 for k, o in zip(at, offsets, strict=True))]
+    middle = np.median(around, axis=0)
+    sign = np.sign(I[at] - middle)
+    near = np.abs(offsets).max(axis=0) == 1
+    second = np.sort(sign * around[near], axis=0)[-2]
+    own = sign * I[at]
+    around.sort(axis=0)
+    spread = around[-3] - around[2]
+    found[at] = own - second > np.maximum(ALONE * (own - sign * middle), CLEAR * spread)
+    return found if found.mean() < RARE else np.zeros_like(found)
 
 
 def filled(I: Array, dead: Mask) -> Array:

@@ -7,7 +7,7 @@ import eofm
 import eofm.grid
 from eofm.flow.start import consistent, match_blocks
 from eofm.grid import Grid
-from eofm.imaging.intensity import Window, defects, normalise_locally
+from eofm.imaging.intensity import Window, defects, impulses, normalise_locally
 
 SHAPE = (96, 112)
 
@@ -50,6 +50,16 @@ def line(I):
     return I
 
 
+def impulsive(seed):
+    """Salt and pepper on one pixel in fifty."""
+
+    def change(I):
+        rng = np.random.default_rng(seed)
+        return np.where(rng.random(I.shape) < 0.02, rng.choice([0.0, 1.2], I.shape), I)
+
+    return change
+
+
 CHANGES = {
     "ramp": (lambda I: I, ramp, 0.04),
     "shadow": (lambda I: I, shadow, 0.04),
@@ -59,6 +69,7 @@ CHANGES = {
     "highlights appear": (lambda I: I, highlights, 0.02),
     "highlights stay": (highlights, highlights, 0.02),
     "saturated line": (line, line, 0.03),
+    "impulses": (impulsive(3), impulsive(4), 0.03),
 }
 
 
@@ -129,6 +140,27 @@ def test_defects_are_highlights_and_saturated_lines_and_nothing_else():
     assert found[10:90:17, 9:100:21].all()
     assert found.mean() < 0.1
     assert defects(line(I))[40:42].all()
+
+
+def test_impulses_are_single_pixels(rng):
+    I = speckle(motion())[0]
+    at = tuple(rng.integers(0, n, 20) for n in I.shape)
+    J = I.copy()
+    J[at] = np.where(I[at] > 0.5, 0.0, 1.0)
+    found = impulses(J)
+    assert found[at].mean() > 0.8
+    found[at] = False
+    assert not found.any()
+    volume = np.stack([I] * 7)
+    assert not impulses(volume).any()
+    volume[3, 20, 30] = 2.0
+    assert np.argwhere(impulses(volume)).tolist() == [[3, 20, 30]]
+
+
+@pytest.mark.parametrize("sigma", [0.7, 1.0])
+def test_points_as_a_lens_shows_them_are_no_impulses(sigma):
+    look = eofm.Phantom(count=300, sigma=(sigma, sigma), noise=0.01, seed=7)
+    assert impulses(eofm.make_phantom(motion(), look)[0]).mean() < 1e-3
 
 
 def test_window_is_a_gaussian_average_over_a_mask(rng):
