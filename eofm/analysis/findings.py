@@ -4,6 +4,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from eofm.imaging.intensity import LINEAR
+
 # Above these a finding is a doubt: share held by the regulariser, forward-backward error in px,
 # share of the residual that is left, share of bubbles lost, motion as a part of the reach,
 # distance in robust ranges.
@@ -73,7 +75,7 @@ def found(summary: dict[str, Any]) -> list[str]:
 
 def doubts(summary: dict[str, Any]) -> list[Finding]:
     """What to doubt and what bears the result out, doubts first."""
-    checks = (_trusted, _left, _back, _held, _near, _bubbles, _defects, _dead, _scale, _stiffness)
+    checks = (_trusted, _left, _back, _held, _near, _bubbles, _defects, _dead, _scale, _linear, _stiffness)
     findings = [finding for check in checks for finding in check(summary)]
     order = ("doubt", "note", "good")
     return sorted(findings, key=lambda finding: order.index(finding.level))
@@ -217,6 +219,16 @@ def _scale(summary: dict[str, Any]) -> Iterator[Finding]:
             "The size of a pixel was not said, so lengths are in px.",
             "Neither the files nor you say it; --lateral-size and --axial-size do, in um. Strains"
             " are right if pixels are square.",
+        )
+
+
+def _linear(summary: dict[str, Any]) -> Iterator[Finding]:
+    if summary["looks_linear"]:
+        yield Finding(
+            "note",
+            f"The first image {LINEAR}.",
+            "Try the logarithm, --intensity log, and compare: it helps most where the image fades"
+            " with depth.",
         )
 
 

@@ -187,9 +187,11 @@ def estimate(
     """
     from eofm.flow.estimate import estimate_displacement
     from eofm.flow.known import Known
+    from eofm.imaging.intensity import advise_logarithm
 
     first, second = io.read_scans(reference, deformed)
     I1, I2 = first.values, second.values
+    advise_logarithm(I1)
     size = io.pixel_size({str(reference): first, str(deformed): second}, I1.ndim, scale.sides)
     sides = size.sides if size else None
     known = Known(

@@ -26,6 +26,7 @@ GOOD = {
     "residual_rms": 0.01,
     "residual_rms_without_motion": 0.09,
     "share_held_by_regulariser": 0.0,
+    "looks_linear": False,
     "defect_share": [0.0, 0.0],
 }
 
@@ -76,6 +77,7 @@ def test_a_sequence_says_that_it_is_the_sum():
         ({"largest_motion_px": [2.0, 24.0]}, "doubt", "near the limit", "smaller steps"),
         ({"defect_share": [0.0, 0.02]}, "note", "2.0% of frame 2", "lower gain"),
         ({"dead_share": 0.2}, "note", "The mask leaves out 20%", ""),
+        ({"looks_linear": True}, "note", "looks like linear intensity", "--intensity log"),
     ],
 )
 def test_what_is_wrong_is_said_with_what_to_do(values, level, text, advice):
