@@ -75,7 +75,19 @@ def found(summary: dict[str, Any]) -> list[str]:
 
 def doubts(summary: dict[str, Any]) -> list[Finding]:
     """What to doubt and what bears the result out, doubts first."""
-    checks = (_trusted, _left, _back, _held, _near, _bubbles, _defects, _dead, _scale, _linear, _stiffness)
+    checks = (
+        _trusted,
+        _left,
+        _back,
+        _held,
+        _near,
+        _bubbles,
+        _defects,
+        _dead,
+        _scale,
+        _linear,
+        _stiffness,
+    )
     findings = [finding for check in checks for finding in check(summary)]
     order = ("doubt", "note", "good")
     return sorted(findings, key=lambda finding: order.index(finding.level))

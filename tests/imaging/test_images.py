@@ -33,7 +33,8 @@ def test_constant_image_is_refused_by_name(value, which):
 
 def fading(rng, power, shape=(96, 128), decay=25):
     """Amplitude (power 1) or intensity (2) of speckle that fades by some dB over the depth."""
-    field = rng.normal(size=(2, *shape)) * 10 ** (-decay / 20 * np.linspace(0, 1, shape[0]))[:, None]
+    fade = 10 ** (-decay / 20 * np.linspace(0, 1, shape[0]))[:, None]
+    field = rng.normal(size=(2, *shape)) * fade
     return np.hypot(*ndimage.gaussian_filter(field, (0, 1.2, 1.2))) ** power
 
 
