@@ -15,6 +15,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from eofm.analysis.findings import ASTRAY, SHORT
 from eofm.analysis.panels import (
     SHARE,
     Look,
@@ -164,7 +165,7 @@ def quality(maps: Mapping[str, Array], settings: Figures) -> Figure:
     residual, inconsistency, *_ = maps.values()
     unit = _mean_side(settings, residual.ndim)
     largest = max(float(np.nanpercentile(np.abs(residual), 99)), 1e-6)
-    worst = max(float(np.nanpercentile(inconsistency, 99)), 1e-3)
+    worst = max(float(np.nanpercentile(inconsistency, 99)), ASTRAY)
     looks = [
         Look("PuOr", (-largest, largest)),
         Look("magma_r", (0, worst * unit), unit_name(settings)),
@@ -256,7 +257,7 @@ def _draw(
 
 def _draw_deviation(axis: Axes, deviation: Array, i: int, settings: Figures) -> None:
     factor = scale(settings, deviation.ndim)[i]
-    largest = factor * max(float(np.percentile(deviation, 99.5)), 1e-6)
+    largest = factor * max(float(np.percentile(deviation, 99.5)), SHORT)
     look = Look("magma_r", (0, largest), unit_name(settings))
     show(axis, factor * deviation, f"standard deviation of $u_{i + 1}$", look, settings)
 

@@ -10,6 +10,8 @@ from eofm.imaging.intensity import LINEAR
 # share of the residual that is left, share of bubbles lost, motion as a part of the reach,
 # distance in robust ranges.
 HELD, ASTRAY, LEFT, LOST, NEAR = 0.25, 0.25, 0.8, 0.6, 0.7
+# Error bars up to this, px, are drawn in pale colours: good looks good.
+SHORT = 0.1
 NAMES = ("lateral", "axial", "elevational")
 # Which way components run.
 WAYS = (("to the left", "to the right"), ("upwards", "downwards"), ("to the front", "to the back"))
