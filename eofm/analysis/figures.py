@@ -99,7 +99,7 @@ def compare_errors(
             errors = {name: np.abs(u[i] - truth[i]) for name, u in fields.items()}
             limits = (0.0, max(float(error.max()) for error in errors.values()) or 1.0)
             for axis, (name, error) in zip(axes[i], errors.items(), strict=True):
-                title = f"{name}: error of $u_{i + 1}$ {_at_most(error, i, settings)}"
+                title = f"{name}: error of $u_{i + 1}$, {_at_most(error, i, settings)}"
                 _draw(axis, error, title, "magma_r", i, limits, settings)
         name_axes(axes, settings)
     return figure
@@ -133,7 +133,7 @@ def field_and_error(
         for i in range(n):
             draw_component(axes[i, 0], estimate[i], i, _limits(truth[i], i), settings)
             error = np.abs(estimate[i] - truth[i])
-            title = f"absolute error of $u_{i + 1}$ {_at_most(error, i, settings)}"
+            title = f"absolute error of $u_{i + 1}$, {_at_most(error, i, settings)}"
             _draw(axes[i, 1], error, title, "magma_r", i, (0, largest), settings)
             if deviation is not None:
                 _draw_deviation(axes[i, 2], deviation[i], i, settings)
@@ -263,7 +263,7 @@ def _draw_deviation(axis: Axes, deviation: Array, i: int, settings: Figures) -> 
 
 
 def _at_most(error: Array, i: int, settings: Figures) -> str:
-    return f"≤ {error.max() * scale(settings, error.ndim)[i]:.2f} {unit_name(settings)}"
+    return f"≤ {error.max() * scale(settings, error.ndim)[i]:.2f}"
 
 
 def _mean_side(settings: Figures, ndim: int) -> float:
