@@ -87,6 +87,7 @@ def test_help_teaches_each_step(step, capsys):
     text = capsys.readouterr().out
     assert f"eofm {step} " in text.partition("options:")[0].partition("\n\n")[2]
     assert "px" in text
+    assert "--plane VALUE" not in text
 
 
 @pytest.mark.parametrize(
