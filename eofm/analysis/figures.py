@@ -142,15 +142,15 @@ def field_and_error(
 
 
 def strains(e: Array, settings: Figures, measure: str = "small") -> Figure:
-    """Normal and shear strains, in percent; the range leaves out 1 % at either end."""
+    """Normal and shear strains, in percent, on one scale, which leaves out 1 % at either end."""
     n = e.ndim - 1
     of = "" if measure == "small" else f" ({measure})"
+    largest = max(*(float(np.nanpercentile(np.abs(100 * part), 99)) for part in e), 1e-6)
+    look = Look("RdBu_r", (-largest, largest), "%")
     with mpl.rc_context(STYLE):
         figure, axes = panels(len(e) // 3, 3, e.shape[1:], settings)
         for axis, values, (i, j) in zip(axes.flat, 100 * e, pairs(n), strict=True):
             name = f"{NAMES[i]} strain" if i == j else "shear strain"
-            largest = max(float(np.nanpercentile(np.abs(values), 99)), 1e-6)
-            look = Look("RdBu_r", (-largest, largest), "%")
             show(axis, values, f"{name} $e_{{{i + 1}{j + 1}}}${of}", look, settings)
         name_axes(axes, settings)
     return figure

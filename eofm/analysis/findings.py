@@ -114,11 +114,15 @@ def _motion(summary: dict[str, Any], units: Units) -> Iterator[str]:
 
 def _strain(summary: dict[str, Any]) -> str:
     axial = summary["strains"]["e22 axial"]
-    word = "compressed" if axial["mean"] < 0 else "stretched"
-    return (
-        f"It is {word} along the depth by {abs(axial['mean']):.2%} in the mean, locally by"
-        f" {_percent(-axial['high'])} to {_percent(-axial['low'])} (negative: stretched)."
-    )
+    ends = (-axial["high"], -axial["low"])
+    word, other = "compressed", "stretched"
+    if axial["mean"] > 0:
+        ends, word, other = (axial["low"], axial["high"]), other, word
+    least, most = (_percent(end) for end in ends)
+    text = f"It is {word} along the depth by {abs(axial['mean']):.2%} in the mean"
+    if least != most:
+        text += f", locally by {least} to {most}"
+    return text + (f" (negative: {other})." if ends[0] < 0 else ".")
 
 
 def _percent(value: float) -> str:

@@ -171,15 +171,15 @@ def _displacement(maker: Maker) -> Iterator[str]:
 def _strain(maker: Maker) -> Iterator[str]:
     results, measure = maker.results, maker.results.summary["strain_measure"]
     n = results.first.ndim
-    maps = []
-    for name, values in zip(labels(n), results.strain, strict=True):
-        top = 100 * maker.largest(values)
-        maps.append(maker.figure(name, 100 * values, "RdBu_r", (-top, top), "%"))
     derived = invariants(results.strain, measure)
-    for name in list(derived)[-2:]:
-        values = 100 * derived[name]
-        top = maker.largest(values)
-        limits, colours = ((0.0, top), "magma_r") if "shear" in name else ((-top, top), "RdBu_r")
+    shown = dict(zip(labels(n), 100 * results.strain, strict=True))
+    shown |= {name: 100 * derived[name] for name in list(derived)[-2:]}
+    # One scale for all: what is next to nothing beside the others looks so.
+    top = max(maker.largest(values) for values in shown.values())
+    maps = []
+    for name, values in shown.items():
+        one_way = name == "maximum shear"
+        limits, colours = ((0.0, top), "magma_r") if one_way else ((-top, top), "RdBu_r")
         maps.append(maker.figure(name, values, colours, limits, "%"))
     window = results.summary["strain_window_um"]
     yield _section(

@@ -55,6 +55,22 @@ def test_motion_is_said_with_its_way_and_unit():
     assert "-1.0% to 5.0%" in strain
 
 
+def test_strain_is_said_along_the_way_that_it_goes():
+    for mean, low, high, text in (
+        (-0.03, -0.05, -0.01, "compressed along the depth by 3.00% in the mean, locally by 1.0%"),
+        (
+            0.03,
+            0.01,
+            0.05,
+            "stretched along the depth by 3.00% in the mean, locally by 1.0% to 5.0%.",
+        ),
+        (0.03, -0.01, 0.05, "locally by -1.0% to 5.0% (negative: compressed)."),
+        (-0.03, -0.03, -0.03, "compressed along the depth by 3.00% in the mean."),
+    ):
+        strain = {"e22 axial": {"mean": mean, "low": low, "high": high}}
+        assert text in found(changed(strains=strain))[-1]
+
+
 def test_lengths_are_in_px_where_no_pixel_size_was_said():
     summary = changed(pixel_size_from=None, pixel_size_um=[1.0, 1.0])
     assert Units(summary).say(2.5, 0) == "2.5 px"
