@@ -2,10 +2,11 @@
 
     python tests/fuzz/fuzz.py --count 1000000 --cores 2
 
-A seed and a number are a file; ``--first`` goes on from a number, and ``--record`` adds to the figures
-of the files before. Each core reads in a process of its own, which is watched: where it ends, hangs for ten seconds or
-takes more than a gibibyte, the file counts as found and is kept in the folder ``found``. Move what
-was mended to ``tests/fuzz/corpus``; the tests read all that is there.
+A seed and a number are a file; ``--first`` goes on from a number, and ``--record`` adds to the
+figures of the files before. Each core reads in a process of its own, which is watched: where it
+ends, hangs for ten seconds or takes more than a gibibyte, the file counts as found and is kept in
+the folder ``found``. Move what was mended to ``tests/fuzz/corpus``; the tests read all that is
+there.
 """
 
 import argparse
