@@ -75,18 +75,21 @@ def _scaled(I: Array, low: float, high: float) -> Array:
     return J
 
 
-def normalise_locally(I: Array, window: tuple[float, ...]) -> Array:
+def normalise_locally(
+    I: Array, window: tuple[float, ...], spread: float | None = None
+) -> Array:
     """Remove the local mean of an image or a volume and divide by its local contrast.
 
     For pairs whose brightness changes from place to place. Means are Gaussian averages of
     standard deviations ``window`` = (lateral, axial, ...), in samples. Three local standard
     deviations fill half of [0, 1], and contrast is not raised where there is a tenth of
-    the whole's or less.
+    the whole's or less, whose standard deviation is the ``spread`` if I is a part of it.
     """
+    spread = I.std() if spread is None else spread
     deviation = blur(I, window)
     np.subtract(I, deviation, out=deviation)
     contrast = blur(deviation**2, window)
-    contrast += float((0.1 * I.std()) ** 2)
+    contrast += float((0.1 * spread) ** 2)
     np.sqrt(contrast, out=contrast)
     contrast *= 6
     deviation /= contrast
