@@ -33,7 +33,6 @@ from eofm.flow.weight import (
 from eofm.grid import Array, Edge, Grid, Mask, faces
 from eofm.imaging.intensity import normalise_locally
 from eofm.imaging.splines import needed, resize_part
-from eofm.settings import Estimation
 
 # Samples of the image after compression beyond what the start says that the motion needs.
 BEYOND = 8
@@ -300,7 +299,7 @@ def _near(level: Level, chosen: tuple[float, ...]) -> Match:
 def _part(match: Match, window: Window) -> Match:
     grid = Grid(_shape(window), match.grid.spacing)
     u, g = (np.ascontiguousarray(f[:, *window]) for f in (match.u, match.g))
-    r, used = (np.ascontiguousarray(f[window]) for f in (match.r, match.used))
+    r, used = np.ascontiguousarray(match.r[window]), np.ascontiguousarray(match.used[window])
     return Match(grid, u, g, r, used)
 
 

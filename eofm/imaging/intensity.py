@@ -75,9 +75,7 @@ def _scaled(I: Array, low: float, high: float) -> Array:
     return J
 
 
-def normalise_locally(
-    I: Array, window: tuple[float, ...], spread: float | None = None
-) -> Array:
+def normalise_locally(I: Array, window: tuple[float, ...], spread: float | None = None) -> Array:
     """Remove the local mean of an image or a volume and divide by its local contrast.
 
     For pairs whose brightness changes from place to place. Means are Gaussian averages of

@@ -7,6 +7,7 @@ The only room that knows file formats:
 - `tables`: CSV, YAML and JSON.
 - `scan`: an array, the meaning of its axes, and the size of its pixels.
 - `formats`: the array of a file of any format; `tiff`, `plain`, `matlab` and others each know one.
+- `stored`: arrays larger than the memory, of which windows are read and written.
 - `apart`: the process of their own in which libraries read what may crash them.
 - `vti`: fields for ParaView.
 - `limits`: how large an array may be, how long a foreign reader may take.
@@ -29,6 +30,7 @@ from eofm.io.limits import limit_size
 from eofm.io.origin import Origin, checksum
 from eofm.io.places import check_place, remove, replacing, together
 from eofm.io.scan import PixelSize, Scan, pixel_size
+from eofm.io.stored import Store, Stored, new_store, open_store, open_stored, windows
 from eofm.io.tables import (
     BUBBLE_COLUMNS,
     read_bubbles,
@@ -44,9 +46,14 @@ __all__ = [
     "Origin",
     "PixelSize",
     "Scan",
+    "Store",
+    "Stored",
     "check_place",
     "checksum",
     "limit_size",
+    "new_store",
+    "open_store",
+    "open_stored",
     "pixel_size",
     "read_bubbles",
     "read_columns",
@@ -60,6 +67,7 @@ __all__ = [
     "remove",
     "replacing",
     "together",
+    "windows",
     "write_field",
     "write_image",
     "write_json",

@@ -74,6 +74,42 @@ def read_tiff(name: str) -> Scan:
     return Scan(pages, axes, sizes)
 
 
+def locate(
+    name: str,
+) -> tuple[np.dtype[Any], tuple[int, ...], Sequence[int], str, dict[str, float]]:
+    """Type and shape of the pages of a TIFF, where each begins, their axes and sizes.
+
+    Raises
+    ------
+    InputError
+        If their values do not lie in the file one after the other.
+    ValueError
+        If it is damaged.
+    """
+    with open(name, "rb") as file:
+        _check_pages(file)
+    with tifffile.TiffFile(name, _multifile=False) as tiff:
+        series = tiff.series[0]
+        page = series.keyframe
+        if page.photometric == PALETTE:
+            raise InputError(f"{name}: has a colour map; convert it to greyscale first")
+        if not page.is_memmappable:
+            raise InputError(
+                f"{name}: is compressed or in tiles, so that no part of it can be read alone; save"
+                " it uncompressed, or as Zarr"
+            )
+        dtype, shape = series.dtype.newbyteorder(tiff.byteorder), series.shape
+        bytes_, count = math.prod(page.shape) * dtype.itemsize, math.prod(shape[:-2])
+        offsets: Sequence[int] = [p.dataoffsets[0] if p else -1 for p in series.pages]
+        if series.dataoffset is not None:
+            first = series.dataoffset
+            offsets = range(first, first + max(count, 1) * bytes_, bytes_)
+        size = tiff.filehandle.size
+        if len(offsets) != count or any(not 0 <= at <= size - bytes_ for at in offsets):
+            raise ValueError("a part of the image lies beyond the end of the file")
+        return dtype, shape, offsets, _meant(series.axes), _sizes(tiff)
+
+
 def write_tiff(
     path: Path,
     pages: NDArray,
