@@ -117,6 +117,26 @@ def cut(shape: tuple[int, ...], counts: Sequence[int], overlap: int) -> list[Til
     ]
 
 
+def tiled_scales(counts: Sequence[int], factor: float) -> int:
+    """How many scales are solved in tiles: so many that all the others are as small as one tile.
+
+    It follows from their numbers along the axes and the ratio of two scales alone.
+
+    Examples
+    --------
+    >>> tiled_scales((2, 2, 2), 0.5), tiled_scales((4, 4, 1), 0.5)
+    (1, 2)
+    """
+    cut_along = [count for count in counts if count > 1]
+    sides = math.log(math.prod(cut_along)) / max(len(cut_along), 1)
+    return max(1, math.ceil(sides / -math.log(factor) - 1e-9))
+
+
+def counts_at(counts: Sequence[int], level: int, factor: float) -> tuple[int, ...]:
+    """Numbers of tiles on the scale that is so many levels coarser than the finest."""
+    return tuple(max(1, math.ceil(count * factor**level - 1e-9)) for count in counts)
+
+
 @dataclass(frozen=True)
 class Scale:
     """One grid of a whole volume that is solved in parts.
@@ -129,14 +149,14 @@ class Scale:
         Of the grid in it.
     read : callable
         ``read(k, window)`` gives the first (0) or second (1) image and where it carries data.
-    spreads : (float, float)
+    spreads : sequence of float
         Standard deviations of the whole images.
     """
 
     problem: Problem
     number: int
     read: Read
-    spreads: tuple[float, float]
+    spreads: Sequence[float]
 
     @property
     def grid(self) -> Grid:
@@ -154,7 +174,7 @@ class Scale:
         ``start``, shape (ndim, ...), is a field on the region, in true lengths.
         """
         problem, n = self.problem, self.number
-        grid = Grid(_shape(region), self.grid.spacing)
+        grid = Grid(shape_of(region), self.grid.spacing)
         on = faces(grid.ndim)
         edges: dict[Edge, Array] = {}
         for edge, v in problem.v_edges.items():
@@ -164,12 +184,12 @@ class Scale:
                 edges[edge] = v
         grids = [*problem.grids[:n], grid, *problem.grids[n + 1 :]]
         part = replace(problem, grids=grids, u_bg=nothing(grid.shape), v_edges=edges)
-        level = part.level(n, self._pair(grid, region, start), start)
+        level = part.level(n, self.pair(region, start), start)
         return replace(level, decides=False)
 
-    def _pair(self, grid: Grid, region: Window, start: Array) -> ImagePair:
-        """The images there, the second as far around as the motion asks."""
-        settings = self.problem.settings
+    def pair(self, region: Window, start: Array) -> ImagePair:
+        """The images on a region, the second as far around as the motion asks."""
+        settings, grid = self.problem.settings, Grid(shape_of(region), self.grid.spacing)
         motion, after = grid.samples(start), []
         for part, n, u in zip(region, self.grid.shape, motion[::-1], strict=True):
             first = part.start + math.floor(float(u.min())) - BEYOND
@@ -196,7 +216,8 @@ class Scale:
         return np.ascontiguousarray(J[inner]), np.ascontiguousarray(live[inner])
 
 
-def _shape(window: Window) -> tuple[int, ...]:
+def shape_of(window: Window) -> tuple[int, ...]:
+    """Return the shape of a window."""
     return tuple(w.stop - w.start for w in window)
 
 
@@ -297,7 +318,7 @@ def _near(level: Level, chosen: tuple[float, ...]) -> Match:
 
 
 def _part(match: Match, window: Window) -> Match:
-    grid = Grid(_shape(window), match.grid.spacing)
+    grid = Grid(shape_of(window), match.grid.spacing)
     u, g = (np.ascontiguousarray(f[:, *window]) for f in (match.u, match.g))
     r, used = np.ascontiguousarray(match.r[window]), np.ascontiguousarray(match.used[window])
     return Match(grid, u, g, r, used)

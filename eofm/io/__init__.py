@@ -27,7 +27,7 @@ from eofm.io.images import (
     write_pages,
 )
 from eofm.io.limits import limit_size
-from eofm.io.origin import Origin, checksum
+from eofm.io.origin import Origin, checksum, mark, reading
 from eofm.io.places import check_place, remove, replacing, together
 from eofm.io.scan import PixelSize, Scan, pixel_size
 from eofm.io.stored import Store, Stored, new_store, open_store, open_stored, windows
@@ -39,6 +39,7 @@ from eofm.io.tables import (
     write_json,
     write_table,
 )
+from eofm.io.tiff import write_slices
 from eofm.io.vti import write_vti
 
 __all__ = [
@@ -51,6 +52,7 @@ __all__ = [
     "check_place",
     "checksum",
     "limit_size",
+    "mark",
     "new_store",
     "open_store",
     "open_stored",
@@ -64,6 +66,7 @@ __all__ = [
     "read_scans",
     "read_settings",
     "read_stack",
+    "reading",
     "remove",
     "replacing",
     "together",
@@ -72,6 +75,7 @@ __all__ = [
     "write_image",
     "write_json",
     "write_pages",
+    "write_slices",
     "write_table",
     "write_vti",
 ]
