@@ -18,7 +18,7 @@ from eofm.analysis.tensors import labels
 from eofm.analysis.tiles import Work, write_field
 from eofm.flow.tiles import common, shape_of
 from eofm.flow.trust import Trust, pooled
-from eofm.grid import Array, componentwise, geometric_mean, unit_spacing
+from eofm.grid import Array, componentwise, geometric_mean, precision, unit_spacing
 from eofm.imaging.greys import grown
 from eofm.settings import Figures
 
@@ -59,9 +59,7 @@ class Gathered:
         for z in range(self.shape[0]):
             window = (slice(z, z + 1), *(slice(0, n) for n in self.shape[1:]))
             values = read(window)
-            yield values.reshape(
-                [k for axis, k in enumerate(values.shape) if axis != values.ndim - 3]
-            )
+            yield values.reshape(*values.shape[:-3], *self.shape[1:])
 
     def sections(self, read: Any, component: int | None = None) -> Sections:
         """The three sections through the middle."""
@@ -92,7 +90,7 @@ class Gathered:
 
     def trust(self, window: Window) -> Array:
         """Correlation of the images after the motion."""
-        found = np.full(shape_of(window), np.nan, np.float32)
+        found: Array = np.full(shape_of(window), np.nan, precision(self.n))
         for number, tile in enumerate(self.plan.tiles(0)):
             both = common(window, tile.core)
             if both is not None:
