@@ -72,10 +72,10 @@ class Gathered:
             cuts.append(values.reshape([m for a, m in enumerate(values.shape) if a != axis]))
         return Sections(self.shape, cuts[0], cuts[2], cuts[1])
 
-    def write_strain(self) -> io.Store:
-        """Write the strain into an array of the work, cube by cube."""
+    def strain_of_all(self) -> io.Store:
+        """Compute the strain, cube by cube."""
         measures = self.plan.measures
-        e = self.work.new("strain_0", (self.n * (self.n + 1) // 2, *self.shape))
+        e = self.work.scratch((self.n * (self.n + 1) // 2, *self.shape))
         reach = math.ceil(4 * self.window / min(self.sides)) + 1
         for part in io.windows(self.shape, max(self.plan.most // 4, 1)):
             around, inner = grown(part, reach, self.shape)
@@ -121,8 +121,9 @@ def write_gathered(work: Path, folder: Path) -> Trust:
     """
     with io.together(), ExitStack() as stack:
         opened = Work.open(work, stack)
-        results = Gathered(opened, write_field(opened, 0))
-        e = results.write_strain()
+        shape = (len(opened.plan.shape), *opened.plan.shape)
+        results = Gathered(opened, write_field(opened, 0, opened.scratch(shape)))
+        e = results.strain_of_all()
         trust = _trust(results)
         _write_fields(results, e, folder)
         said = _summary(results, e, trust)

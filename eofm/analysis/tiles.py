@@ -200,6 +200,10 @@ class Work:
         self.stores[name] = self.stack.enter_context(made)
         return self.stores[name]
 
+    def scratch(self, shape: tuple[int, ...]) -> io.Store:
+        """An array of zeros that goes with this process."""
+        return self.stack.enter_context(io.scratch_store(self.folder, shape))
+
     def raw(self, k: int, window: Window) -> Array:
         """Values of an image as they are compared, or their logarithm."""
         first, least = self.plan.first, self.plan.least
@@ -480,13 +484,14 @@ def gather(folder: Path, level: int) -> str:
     with io.together(), ExitStack() as stack:
         work = Work.open(folder, stack)
         _check_level(work, level)
-        write_field(work, level)
+        shape = work.plan.grid(level)
+        write_field(work, level, work.new(f"field_{level}", (len(work.plan.shape), *shape)))
         work.choose(level - 1, read_choice(folder, level)[1])
     return _next(work.plan, level - 1)
 
 
-def write_field(work: Work, level: int) -> io.Store:
-    """Write the field of a scale from its tiles."""
+def write_field(work: Work, level: int, field: io.Store) -> io.Store:
+    """Write the field of a scale from its tiles into an array, which is returned."""
     shape = work.plan.grid(level)
     n, missing = len(shape), []
     for number in range(len(work.plan.tiles(level))):
@@ -497,8 +502,7 @@ def write_field(work: Work, level: int) -> io.Store:
             f"{work.folder}: tiles {', '.join(missing)} of level {level} are missing; eofm tile"
             " makes them"
         )
-    field = work.new(f"field_{level}", (n, *shape))
-    for window in io.windows(shape, work.plan.most // 4):
+    for window in io.windows(shape, max(work.plan.most // 4, 1)):
         u = work.blended(level, window, slice(0, n))
         field.write((slice(0, n), *window), u)
     return field

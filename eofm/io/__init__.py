@@ -30,7 +30,7 @@ from eofm.io.limits import limit_size
 from eofm.io.origin import Origin, checksum, mark, reading
 from eofm.io.places import check_place, remove, replacing, together
 from eofm.io.scan import PixelSize, Scan, pixel_size
-from eofm.io.stored import Store, Stored, new_store, open_store, open_stored, windows
+from eofm.io.stored import Store, Stored, new_store, open_store, open_stored, scratch_store, windows
 from eofm.io.tables import (
     BUBBLE_COLUMNS,
     read_bubbles,
@@ -69,6 +69,7 @@ __all__ = [
     "reading",
     "remove",
     "replacing",
+    "scratch_store",
     "together",
     "windows",
     "write_field",

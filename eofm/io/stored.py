@@ -7,6 +7,7 @@ are read and written, not mapped: pages of a map count as memory of the process.
 
 import math
 import os
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -208,6 +209,14 @@ def new_store(path: Path, shape: tuple[int, ...], dtype: Any = np.float32) -> It
         store = Store(file, shape, np.dtype(dtype))
         os.truncate(file.fileno(), store.offset + math.prod(shape) * store.dtype.itemsize)
         yield store
+
+
+@contextmanager
+def scratch_store(folder: Path, shape: tuple[int, ...]) -> Iterator[Store]:
+    """An array of zeros on the disk of a folder, without a name, that goes with the process."""
+    with tempfile.TemporaryFile(dir=folder) as file:
+        file.truncate(4 * math.prod(shape))
+        yield Store(file, shape, np.dtype(np.float32))
 
 
 @contextmanager

@@ -61,7 +61,7 @@ def test_what_no_part_can_be_read_of(tmp_path):
     io.write_image(tmp_path / "V.tif", V)
     (tmp_path / "cut.tif").write_bytes((tmp_path / "V.tif").read_bytes()[:-40])
     write_zarr(tmp_path / "C.zarr", np.stack([V, V]), 2, axes="czyx")
-    np.save(tmp_path / "nan.npy", np.where(V == V.max(), np.nan, V))
+    np.save(tmp_path / "nan.npy", np.where(V.max() == V, np.nan, V))
     expected = {
         "packed.tif": "compressed or in tiles",
         "tiled.tif": "compressed or in tiles",
