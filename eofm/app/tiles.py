@@ -46,7 +46,8 @@ def tile(work: Work, part: PartOfScale) -> None:
     eofm tile work --number 3
 
     Tiles of one level do not wait for each other. The memory is that of a volume as large as the
-    tile with its overlap, however large the whole is.
+    tile with its overlap, however large the whole is. The field, px on level 0, stays in the folder
+    of the work, for `eofm gather`.
     """
     from eofm.analysis.tiles import tile
 
