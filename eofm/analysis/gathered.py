@@ -102,8 +102,8 @@ class Gathered:
                     slice(b.start - w.start, b.stop - w.start)
                     for b, w in zip(both, window, strict=True)
                 )
-                store = self.work.store(f"tile_0_{number}")
-                found[here] = store.read((slice(self.n, self.n + 1), *at))[0]
+                map_of_tile = (slice(self.n, self.n + 1), *at)
+                found[here] = self.work.of_tile(0, number, map_of_tile)[0]
         return found
 
 
@@ -123,6 +123,7 @@ def write_gathered(work: Path, folder: Path) -> Trust:
         opened = Work.open(work, stack)
         shape = (len(opened.plan.shape), *opened.plan.shape)
         results = Gathered(opened, write_field(opened, 0, opened.scratch(shape)))
+        folder.mkdir(parents=True, exist_ok=True)
         e = results.strain_of_all()
         trust = _trust(results)
         _write_fields(results, e, folder)

@@ -200,6 +200,11 @@ class Work:
         self.stores[name] = self.stack.enter_context(made)
         return self.stores[name]
 
+    def of_tile(self, level: int, number: int, window: Window) -> Array:
+        """A window of what a tile has written: there may be more of them than files can be open."""
+        with io.open_store(self.folder / f"tile_{level}_{number}.npy") as store:
+            return store.read(window)
+
     def scratch(self, shape: tuple[int, ...]) -> io.Store:
         """An array of zeros that goes with this process."""
         return self.stack.enter_context(io.scratch_store(self.folder, shape))
@@ -256,7 +261,7 @@ class Work:
             both = common(window, tile.region)
             if both is not None:
                 part = Tile(both, tile.region).inner
-                u = self.store(f"tile_{level}_{number}").read((components, *part))
+                u = self.of_tile(level, number, (components, *part))
                 blend(field, window, tile, u, shape, self.plan.overlap)
         return field
 
@@ -272,6 +277,7 @@ def coarse(pair: Pair, estimation: Estimation, tiling: Tiling, folder: Path) -> 
         In one line that begins with the key at fault.
     """
     plan = _planned(pair, estimation, tiling)
+    folder.mkdir(parents=True, exist_ok=True)
     with io.together(), ExitStack() as stack:
         work = Work(folder, plan, stack)
         if pair.intensity == "log":

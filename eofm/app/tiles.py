@@ -36,7 +36,6 @@ def coarse(
     """
     from eofm.analysis.tiles import coarse
 
-    work.mkdir(parents=True, exist_ok=True)
     print(coarse(pair, estimation, tiling, work))
 
 
@@ -79,7 +78,6 @@ def gather(
         raise InputError("folder: say where the results go, --folder results/mine")
     from eofm.analysis.gathered import write_gathered
 
-    folder.mkdir(parents=True, exist_ok=True)
     return write_gathered(work, folder)
 
 

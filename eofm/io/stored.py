@@ -24,6 +24,7 @@ from eofm.io import omezarr, plain, tiff
 from eofm.io.apart import installed
 from eofm.io.formats import check_is_file, one_line, split
 from eofm.io.images import amplitude, check_finite, one_image
+from eofm.io.origin import check_not_read
 from eofm.io.places import replacing
 from eofm.io.scan import Scan, choose, micrometres
 
@@ -203,6 +204,7 @@ class Store:
 @contextmanager
 def new_store(path: Path, shape: tuple[int, ...], dtype: Any = np.float32) -> Iterator[Store]:
     """An array of zeros in a new file, which takes its place once it is complete."""
+    check_not_read(path)
     with replacing(path) as temporary, temporary.open("w+b") as file:
         head = {"descr": np.lib.format.dtype_to_descr(np.dtype(dtype)), "fortran_order": False}
         np.lib.format.write_array_header_1_0(file, head | {"shape": shape})

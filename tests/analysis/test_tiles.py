@@ -115,7 +115,10 @@ def test_results_of_tiles(made):
     um = io.read_field(results / "displacement_um.tif")
     px = io.read_field(results / "displacement.tif")
     np.testing.assert_allclose(um[1], 4 * px[1], rtol=1e-5)
-    assert np.isfinite(io.read_scan(results / "trust.tif").values).all()
+    match = read_array(results / "trust.tif").values
+    assert match.shape == SHAPE
+    assert np.isfinite(match).mean() > 0.9
+    assert np.nanmedian(match) > 0.8
     for name in ("pair", "displacement", "strain", "trust"):
         assert imread(results / f"{name}.png").std() > 0.05
     page = (results / "report.html").read_text()
@@ -125,7 +128,7 @@ def test_results_of_tiles(made):
 
 @pytest.mark.slow
 def test_two_scales_in_tiles_and_faces_that_are_known(tmp_path, capsys):
-    u = moved((24, 40, 60))
+    u = moved((24, 48, 96))
     u[1] -= u[1, :, :1]
     I1, I2 = speckle(u)
     np.save(tmp_path / "a.npy", I1)
