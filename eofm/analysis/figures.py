@@ -27,6 +27,7 @@ from eofm.analysis.panels import (
     show,
     unit_name,
 )
+from eofm.analysis.sections import Sections
 from eofm.analysis.tensors import pairs
 from eofm.grid import Array
 from eofm.io import replacing
@@ -178,6 +179,20 @@ def quality(maps: Mapping[str, Array], settings: Figures) -> Figure:
         shown = zip(axes.flat, maps.items(), factors, looks, strict=True)
         for axis, (title, values), factor, look in shown:
             show(axis, factor * values, title, look, settings)
+        name_axes(axes, settings)
+    return figure
+
+
+def sections(
+    rows: Sequence[Sequence[tuple[str, Sections, Look]]], settings: Figures = Figures()
+) -> Figure:
+    """Rows of sections of volumes, each with its title and its look."""
+    shape = rows[0][0][1].shape
+    with mpl.rc_context(STYLE):
+        figure, axes = panels(len(rows), max(map(len, rows)), shape, settings)
+        for (i, j), axis in np.ndenumerate(axes):
+            title, values, look = rows[i][j]
+            show(axis, values, title, look, settings)
         name_axes(axes, settings)
     return figure
 

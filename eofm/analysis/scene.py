@@ -78,7 +78,7 @@ def read_scene(pair: Pair) -> Scene:
     frames, pixel_size = _frames(pair)
     sides = pixel_size.sides if pixel_size else None
     shape = frames.shape[1:]
-    roi = _roi(pair, shape)
+    roi = region_of_interest(pair, shape)
     window = Place.of(roi, (*[0] * len(shape), *shape[::-1])).window
     dead = _dead(pair, shape)[window]
     if dead.all():
@@ -147,7 +147,7 @@ def _scaled(pair: Pair, frames: Array) -> Array:
     return frames
 
 
-def _roi(pair: Pair, shape: tuple[int, ...]) -> tuple[int, ...]:
+def region_of_interest(pair: Pair, shape: tuple[int, ...]) -> tuple[int, ...]:
     """Region of interest in images, or volumes, of a shape."""
     whole = (*[0] * len(shape), *shape[::-1])
     roi = _region("roi", pair.roi, whole)

@@ -27,6 +27,7 @@ from eofm.app.options import (
     sections_of,
     writes,
 )
+from eofm.app.tiles import TILED
 from eofm.errors import InputError
 from eofm.settings import (
     Estimation,
@@ -360,6 +361,7 @@ STEPS: tuple[Step, ...] = (
     view,
     stiffness,
     evaluate,
+    *TILED,
 )
 
 

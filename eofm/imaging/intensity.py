@@ -2,6 +2,7 @@
 
 import logging
 from functools import reduce
+from typing import NamedTuple
 
 import numpy as np
 
@@ -86,18 +87,19 @@ def _scaled(I: Array, low: float, high: float) -> Array:
     return J
 
 
-def normalise_locally(I: Array, window: tuple[float, ...]) -> Array:
+def normalise_locally(I: Array, window: tuple[float, ...], spread: float | None = None) -> Array:
     """Remove the local mean of an image or a volume and divide by its local contrast.
 
     For pairs whose brightness changes from place to place. Means are Gaussian averages of
     standard deviations ``window`` = (lateral, axial, ...), in samples. Three local standard
     deviations fill half of [0, 1], and contrast is not raised where there is a tenth of
-    the whole's or less.
+    the whole's or less, whose standard deviation is the ``spread`` if I is a part of it.
     """
+    spread = I.std() if spread is None else spread
     deviation = blur(I, window)
     np.subtract(I, deviation, out=deviation)
     contrast = blur(deviation**2, window)
-    contrast += float((0.1 * I.std()) ** 2)
+    contrast += float((0.1 * spread) ** 2)
     np.sqrt(contrast, out=contrast)
     contrast *= 6
     deviation /= contrast
@@ -105,27 +107,63 @@ def normalise_locally(I: Array, window: tuple[float, ...]) -> Array:
     return deviation
 
 
-def defects(I: Array) -> Mask:
+class Levels(NamedTuple):
+    """Intensities that tell pixels of the detector from those of the sample.
+
+    Attributes
+    ----------
+    median : float
+    highlight, top : float
+        Heights above the median: of highlights, and of what saturates.
+    """
+
+    median: float
+    highlight: float
+    top: float
+
+    @classmethod
+    def of(cls, I: Array) -> "Levels | None":
+        """Return those of an image or a volume; None if it has no peaks."""
+        # Its import takes a tenth of a short estimate.
+        from scipy import ndimage
+
+        median = np.median(I)
+        above = I - median
+        peaks = above[(ndimage.maximum_filter(I, PEAK) <= I) & (above > 0)]
+        if not peaks.size:
+            return None
+        highlight = HIGHLIGHT * np.quantile(peaks, 0.75)
+        return cls(median, highlight, np.max(above, where=above <= highlight, initial=0.0))
+
+    def marked(self, I: Array) -> Mask:
+        """Pixels of highlights and saturated lines."""
+        from scipy import ndimage
+
+        above = I - self.median
+        found = above > self.highlight
+        top = (above >= self.top).view(np.uint8)
+        for axis in range(I.ndim if np.count_nonzero(top) >= LINE else 0):
+            # A line is what a segment of LINE pixels can cover: of an opening, both steps.
+            starts = ndimage.minimum_filter1d(top, LINE, axis, mode="constant")
+            lines = ndimage.maximum_filter1d(starts, LINE, axis, mode="constant", origin=-1)
+            found |= lines.view(bool)
+        return found
+
+
+def defects(I: Array, levels: Levels | None = None) -> Mask:
     """Pixels that show the detector instead of the sample: highlights and saturated lines.
 
     Saturated pixels as such are none: what is clipped where it is bright moves with the
     sample. Neither is found where either would make up more than 5 % of the image or volume.
+    Of a part of an image that has defects, the ``levels`` are those of the whole.
     """
-    # Its import takes a tenth of a short estimate.
     from scipy import ndimage
 
-    above = I - np.median(I)
-    peaks = above[(ndimage.maximum_filter(I, PEAK) <= I) & (above > 0)]
-    if not peaks.size:
+    own = levels or Levels.of(I)
+    if own is None:
         return np.zeros(I.shape, dtype=bool)
-    found = above > HIGHLIGHT * np.quantile(peaks, 0.75)
-    top = (above >= np.max(above, where=~found, initial=0.0)).view(np.uint8)
-    for axis in range(I.ndim if np.count_nonzero(top) >= LINE else 0):
-        # A line is what a segment of LINE pixels can cover: of an opening, both steps.
-        starts = ndimage.minimum_filter1d(top, LINE, axis, mode="constant")
-        lines = ndimage.maximum_filter1d(starts, LINE, axis, mode="constant", origin=-1)
-        found |= lines.view(bool)
-    if not 0 < found.mean() < RARE:
+    found = own.marked(I)
+    if not found.any() or (levels is None and not found.mean() < RARE):
         return np.zeros_like(found)
     return ndimage.binary_dilation(found, iterations=MARGIN)
 

@@ -46,7 +46,13 @@ def read_scan(path: Path, ndim: int | None = None) -> Scan:
         If the file is missing, unreadable, in colour, a stack in time or of channels, of the other
         kind than wanted, or has NaN or infinity.
     """
-    scan = _one_colour(path, read_array(path))
+    scan = one_image(path, _one_colour(path, read_array(path)), ndim)
+    values = amplitude(path, scan.values)
+    return Scan(check_finite(path, values, values.ndim), scan.axes, scan.sizes)
+
+
+def one_image(path: Path, scan: Scan, ndim: int | None = None) -> Scan:
+    """The same without axes along which there is nothing, if it is one image or volume."""
     axes, values = scan.axes, scan.values
     if values.ndim < 2:
         raise InputError(f"{path}: holds an array of shape {values.shape}, no image")
@@ -73,7 +79,7 @@ def read_scan(path: Path, ndim: int | None = None) -> Scan:
         raise InputError(f"{path}: holds {said}; save one image or volume (axes YX or ZYX)")
     if ndim not in (None, values.ndim):
         raise InputError(f"{path}: is {NAMES[values.ndim]} where {NAMES[3]} is wanted")
-    return Scan(_finite(path, _amplitude(path, values), values.ndim), axes, scan.sizes)
+    return Scan(values, axes, scan.sizes)
 
 
 def read_image(path: Path, ndim: int | None = None) -> Array:
@@ -111,7 +117,7 @@ def read_stack(path: Path) -> Scan:
     if scan.axes[0] in "CZ":
         logger.warning(f"{path}: {MEANINGS[scan.axes[0]]} ({scan.axes[0]}) are taken for frames")
     _check_not_small(path, frames[0])
-    return Scan(_finite(path, _amplitude(path, frames), 2), scan.axes, scan.sizes)
+    return Scan(check_finite(path, amplitude(path, frames), 2), scan.axes, scan.sizes)
 
 
 def read_scans(reference: Path, deformed: Path, ndim: int | None = None) -> tuple[Scan, Scan]:
@@ -192,7 +198,7 @@ def read_field(path: Path, shape: tuple[int, ...] | None = None, ndim: int | Non
             f"{path}: is the field of {NAMES[u.ndim - 1]} where that of {NAMES[6 - u.ndim]} is"
             " wanted"
         )
-    return _finite(path, u, u.ndim - 1)
+    return check_finite(path, u, u.ndim - 1)
 
 
 def write_image(path: Path, I: Array, sides: Sequence[float] | None = None) -> None:
@@ -249,7 +255,7 @@ def write_pages(
     write_tiff(path, np.moveaxis(pages, 0, -3), labels, sides)
 
 
-def _amplitude(path: Path, values: NDArray) -> NDArray:
+def amplitude(path: Path, values: NDArray) -> NDArray:
     """The amplitude of complex values, and the log says so; others as they are."""
     if not np.iscomplexobj(values):
         return values
@@ -257,7 +263,7 @@ def _amplitude(path: Path, values: NDArray) -> NDArray:
     return np.abs(values)
 
 
-def _finite(path: Path, values: NDArray, ndim: int) -> Array:
+def check_finite(path: Path, values: NDArray, ndim: int) -> Array:
     """The values as numbers to compute with: 8 bytes in images, 4 in volumes."""
     if values.size == 0:
         raise InputError(f"{path}: holds no values (shape {values.shape})")
