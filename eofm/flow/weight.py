@@ -91,13 +91,20 @@ def choose_alpha(
         Wang and Yang, Stat. Sci. 16, 2001), least so on coarser scales. Where one of them is
         larger, its geometric mean with that of this scale is used, as far as the misfit allows.
     """
-    windows = _windows(match.grid.shape)
+    windows = sample_windows(match.grid.shape)
     ridge = RIDGE * match.strength
     trials = [
-        _Trial(_cut(match, w), about[:, *w], prescribed[:, *w], free[w], fold, ridge)
+        Trial(_cut(match, w), about[:, *w], prescribed[:, *w], free[w], fold, ridge)
         for w in windows
-        for fold in _folds(match.grid.shape, len(windows))
+        for fold in folds(match.grid.shape, len(windows))
     ]
+    return least_misfit(trials, start, before)
+
+
+def least_misfit(
+    trials: "Sequence[Trial]", start: float, before: Sequence[float] = ()
+) -> tuple[float, float]:
+    """The weight with the least sum of the misfits of some trials, and that to use."""
 
     @cache
     def misfit(k: int) -> float:
@@ -113,7 +120,7 @@ def choose_alpha(
 
     k = downhill(0)
     squares = sum(float((t.match.g**2).sum(0)[t.out].sum()) for t in trials)
-    if not before and misfit(k) > (LOST * match.grid.side) ** 2 * squares:
+    if not before and misfit(k) > (LOST * trials[0].match.grid.side) ** 2 * squares:
         low = min((k - far for far in PROBES), key=misfit)
         if misfit(low) < TELLS * misfit(k):
             k = downhill(low)
@@ -128,7 +135,7 @@ def choose_alpha(
     return best, max(best, min(asked, start * STEP**most))
 
 
-class _Trial:
+class Trial:
     """One fold of one window; each solve starts from the one before."""
 
     def __init__(
@@ -164,14 +171,14 @@ def around(mask: Mask, margin: int) -> Mask:
     return near
 
 
-def _folds(shape: tuple[int, ...], windows: int) -> tuple[int, ...]:
+def folds(shape: tuple[int, ...], windows: int) -> tuple[int, ...]:
     """Quarters that are held out by turns."""
     if math.prod(shape) < MANY * BLOCK ** len(shape):
         return 0, 1, 2, 3
     return (0, 2) if windows == 1 else (0,)
 
 
-def _windows(shape: tuple[int, ...]) -> list[tuple[slice, ...]]:
+def sample_windows(shape: tuple[int, ...]) -> list[tuple[slice, ...]]:
     """The image or, where it is large, windows in the middles of opposite quarters or halves."""
     width, large = WINDOW[len(shape)]
 

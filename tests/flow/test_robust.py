@@ -7,7 +7,7 @@ import eofm
 import eofm.grid
 from eofm.flow.start import consistent, match_blocks
 from eofm.grid import Grid
-from eofm.imaging.intensity import Window, defects, impulses, normalise_locally
+from eofm.imaging.intensity import Levels, Window, defects, normalise_locally
 
 SHAPE = (96, 112)
 
@@ -140,6 +140,10 @@ def test_defects_are_highlights_and_saturated_lines_and_nothing_else():
     assert found[10:90:17, 9:100:21].all()
     assert found.mean() < 0.1
     assert defects(line(I))[40:42].all()
+
+
+def impulses(I):
+    return Levels.of(I).single(I)
 
 
 def test_impulses_are_single_pixels(rng):
