@@ -171,10 +171,10 @@ class Work:
     def __init__(self, folder: Path, plan: Plan, stack: ExitStack) -> None:
         self.folder, self.plan, self.stack = folder, plan, stack
         self.stores: dict[str, io.Store] = {}
-        self.images = [io.open_stored(Path(name)) for name in plan.files]
         for place, (_, mark) in plan.inputs.items():
-            if list(io.mark(Path(place)))[:2] != mark[:2]:
+            if not Path(place).exists() or list(io.mark(Path(place)))[:2] != mark[:2]:
                 raise InputError(f"{place}: changed after eofm coarse; run it again")
+        self.images = [io.open_stored(Path(name)) for name in plan.files]
 
     @classmethod
     def open(cls, folder: Path, stack: ExitStack) -> Self:
