@@ -25,8 +25,8 @@ from eofm.grid import Edge
 # Numbers beyond these have squares that are lost, or that nothing else can be added to.
 LEAST, LARGEST = 1e-30, 1e30
 
-# Pixels, and things, of which no image has more.
-FAR, MOST = 1_000_000, 10_000_000
+# Pixels, and things, of which no image has more; and sides of a sample that is computed.
+FAR, MOST, LONG = 1_000_000, 10_000_000, 20_000
 
 
 def _not_lost(value: float) -> float:
@@ -144,14 +144,18 @@ class Inclusion(Section):
     stiffness: Positive = Field(description="Young's modulus relative to the background")
 
 
+# Sides of a sample of which one is so many times another are beyond the forward model's meshes.
+SLENDER = {2: 500, 3: 100}
+
+
 class Sample(Section):
     """The sample and how it is pressed."""
 
     height: int = Field(
-        ge=8, le=FAR, description="rows of the image, which shows the whole sample, px"
+        ge=8, le=LONG, description="rows of the image, which shows the whole sample, px"
     )
-    width: int = Field(ge=8, le=FAR, description="columns of the image, px")
-    depth: Annotated[int, Field(ge=8, le=FAR)] | None = Field(
+    width: int = Field(ge=8, le=LONG, description="columns of the image, px")
+    depth: Annotated[int, Field(ge=8, le=LONG)] | None = Field(
         None, description="slices of the volume, px; none: an image"
     )
     poisson_ratio: float = Field(0.49, gt=0, lt=0.5, description="Poisson ratio of all materials")
@@ -172,11 +176,21 @@ class Sample(Section):
 
     @model_validator(mode="after")
     def _compression_fits(self) -> Self:
+        if 0 < abs(self.compression) < LEAST:
+            raise ValueError(f"compression: wants 0, or at least {LEAST:g} px")
         if abs(self.compression) >= self.height / 2:
             raise ValueError(
                 f"compression: {self.compression:g} px is half of the sample's height"
                 f" ({self.height} px) or more; linear elasticity does not hold there"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _is_no_thread(self) -> Self:
+        most = SLENDER[len(self.shape)]
+        if max(self.shape) > most * min(self.shape):
+            sides = " x ".join(str(n) for n in self.shape[::-1])
+            raise ValueError(f"{sides} px: no side may be more than {most} times another")
         return self
 
     @model_validator(mode="after")
@@ -221,6 +235,10 @@ class Phantom(Section):
     seed: int = Field(1, ge=0, description="seed of positions, sizes, brightness and noise")
 
 
+# Level of a reflector, dB: ten times what no instrument tells apart any more.
+LOUDEST = 1000
+
+
 class VirtualOct(Section):
     """The virtual OCT experiment: scatterers of the enlarged sample, a microscope, a region."""
 
@@ -262,9 +280,12 @@ class VirtualOct(Section):
                 f"margin: wants two values of at least 0 and below 0.5 (got {self.margin[0]:g},"
                 f" {self.margin[1]:g})"
             )
-        if not self.reflector_level[0] <= self.reflector_level[1]:
-            low, high = self.reflector_level
-            raise ValueError(f"reflector_level: wants low <= high (got {low:g}, {high:g})")
+        low, high = self.reflector_level
+        if not -LOUDEST <= low <= high <= LOUDEST:
+            raise ValueError(
+                f"reflector_level: wants low <= high, of at most {LOUDEST} dB (got {low:g},"
+                f" {high:g})"
+            )
         return self
 
 

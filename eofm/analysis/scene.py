@@ -14,6 +14,7 @@ from eofm.elasticity.forward import deform
 from eofm.errors import InputError
 from eofm.flow.known import Known
 from eofm.grid import FACES, Array, Edge, faces
+from eofm.imaging.intensity import advise_logarithm
 from eofm.settings import Pair, Region, Sample
 
 logger = logging.getLogger("eofm")
@@ -86,6 +87,8 @@ def read_scene(pair: Pair) -> Scene:
     if dead.any():
         # What a mask hides must not stretch the grey scale.
         frames[:, dead] = np.median(frames[:, ~dead])
+    if pair.intensity == "linear":
+        advise_logarithm(frames[0])
     place = Place.of(roi, _extent(pair, roi))
     sample = _sample(pair, place.whole)
     on = faces(len(shape))

@@ -1,5 +1,6 @@
-"""One grey scale for two images, and pixels that show no sample."""
+"""One grey scale for two images, pixels that show no sample, and intensities that fade."""
 
+import logging
 from functools import reduce
 from typing import NamedTuple
 
@@ -18,8 +19,18 @@ HIGHLIGHT, PEAK, MARGIN = 4.0, 5, 2
 RARE = 0.05
 # Length of a line of saturated pixels that no structure makes, px.
 LINE = 32
+# Speckle of linear intensity: sides of blocks, px; the contrast in them, whose theory is 0.52 for
+# amplitudes and 1 for intensities; how fast it grows with their mean, which is not at all after a
+# logarithm; and the range of the means, as a ratio: 15 dB.
+BLOCK, CONTRAST, GROWTH, RANGE = 8, (0.4, 1.3), 0.75, 10 ** (15 / 20)
+# Slices of a volume, and blocks, that suffice to tell.
+SLICES, ENOUGH = 16, 64
 # Numbers whose sums are taken at once.
 CHUNK = 2**19
+# What is said of it.
+LINEAR = "looks like linear intensity, whose dark parts count little"
+
+logger = logging.getLogger("eofm")
 
 
 def normalise(
@@ -155,6 +166,34 @@ def defects(I: Array, levels: Levels | None = None) -> Mask:
     if not found.any() or (levels is None and not found.mean() < RARE):
         return np.zeros_like(found)
     return ndimage.binary_dilation(found, iterations=MARGIN)
+
+
+def looks_linear(I: Array) -> bool:
+    """Whether an image or a volume shows speckle over a wide range, and no logarithm of it.
+
+    From block to block, the standard deviation of speckle is proportional to its mean; that of its
+    logarithm is the same everywhere (Goodman, Speckle Phenomena in Optics, 2007). Where the means
+    reach over less than 15 dB, either will do, and the answer is no.
+    """
+    pages = I.reshape(-1, *I.shape[-2:])[:: max(1, len(I) // SLICES) if I.ndim == 3 else 1]
+    rows, columns = (n // BLOCK for n in I.shape[-2:])
+    if len(pages) * rows * columns < ENOUGH or I.min() < 0 or np.count_nonzero(I) < 0.99 * I.size:
+        return False
+    pages = pages[:, : rows * BLOCK, : columns * BLOCK].astype(np.float64)
+    blocks = pages.reshape(len(pages), rows, BLOCK, columns, BLOCK)
+    mean, deviation = blocks.mean(axis=(2, 4)).ravel(), blocks.std(axis=(2, 4)).ravel()
+    mean, deviation = (f[(mean > 0) & (deviation > 0)] for f in (mean, deviation))
+    low, high = np.quantile(mean, [0.05, 0.95]) if len(mean) >= ENOUGH else (1.0, 1.0)
+    if high < RANGE * low:
+        return False
+    growth = np.polyfit(np.log(mean), np.log(deviation), 1)[0]
+    return bool(growth > GROWTH and CONTRAST[0] < np.median(deviation / mean) < CONTRAST[1])
+
+
+def advise_logarithm(I: Array) -> None:
+    """Say so in the log where an image looks like linear intensity."""
+    if looks_linear(I):
+        logger.info(f"the first image {LINEAR}; try the logarithm, eofm sample --intensity log")
 
 
 def filled(I: Array, dead: Mask) -> Array:

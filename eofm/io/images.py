@@ -31,8 +31,14 @@ def read_scan(path: Path, ndim: int | None = None) -> Scan:
 
     Parameters
     ----------
+    path : Path
     ndim : int, optional
         Number of axes wanted; None takes what there is.
+
+    Returns
+    -------
+    Scan
+        Its values are float64 of images and float32 of volumes.
 
     Raises
     ------
@@ -77,12 +83,27 @@ def one_image(path: Path, scan: Scan, ndim: int | None = None) -> Scan:
 
 
 def read_image(path: Path, ndim: int | None = None) -> Array:
-    """Read the values of an image or volume, see `read_scan`."""
+    """Read the values of an image or volume, see `read_scan`.
+
+    Parameters
+    ----------
+    path : Path
+    ndim : int, optional
+        Number of axes wanted; None takes what there is.
+
+    Returns
+    -------
+    ndarray, shape (height, width) or (depth, height, width)
+    """
     return read_scan(path, ndim).values
 
 
 def read_stack(path: Path) -> Scan:
     """Read a sequence of greyscale frames, shape (frames, height, width), float64.
+
+    Parameters
+    ----------
+    path : Path
 
     Raises
     ------
@@ -102,6 +123,12 @@ def read_stack(path: Path) -> Scan:
 def read_scans(reference: Path, deformed: Path, ndim: int | None = None) -> tuple[Scan, Scan]:
     """Read two images or volumes, before and after compression, which must have one size.
 
+    Parameters
+    ----------
+    reference, deformed : Path
+    ndim : int, optional
+        Number of axes wanted; None takes what there is.
+
     Raises
     ------
     InputError
@@ -118,7 +145,18 @@ def read_scans(reference: Path, deformed: Path, ndim: int | None = None) -> tupl
 
 
 def read_pair(reference: Path, deformed: Path, ndim: int | None = None) -> tuple[Array, Array]:
-    """Read the values of two images or volumes of one size, see `read_scans`."""
+    """Read the values of two images or volumes of one size, see `read_scans`.
+
+    Parameters
+    ----------
+    reference, deformed : Path
+    ndim : int, optional
+        Number of axes wanted; None takes what there is.
+
+    Returns
+    -------
+    I1, I2 : ndarray, shape (height, width) or (depth, height, width)
+    """
     first, second = read_scans(reference, deformed, ndim)
     return first.values, second.values
 
@@ -126,10 +164,18 @@ def read_pair(reference: Path, deformed: Path, ndim: int | None = None) -> tuple
 def read_field(path: Path, shape: tuple[int, ...] | None = None, ndim: int | None = None) -> Array:
     """Read a displacement field, px, shape (2, height, width) or (3, depth, height, width).
 
+    Parameters
+    ----------
+    path : Path
+    shape : tuple of int, optional
+        Shape of the images that it has to belong to.
+    ndim : int, optional
+        Number of their axes, where only that matters.
+
     Raises
     ------
     InputError
-        If the file is no such field, or not of the ``shape`` or number of axes wanted.
+        If the file is no such field, or not of the shape or number of axes wanted.
     """
     scan = read_array(path)
     u = scan.values
@@ -156,7 +202,15 @@ def read_field(path: Path, shape: tuple[int, ...] | None = None, ndim: int | Non
 
 
 def write_image(path: Path, I: Array, sides: Sequence[float] | None = None) -> None:
-    """Write an image or volume as float32 ImageJ TIFF, with the sides of its pixels, um."""
+    """Write an image or volume as float32 ImageJ TIFF.
+
+    Parameters
+    ----------
+    path : Path
+    I : ndarray, shape (height, width) or (depth, height, width)
+    sides : sequence, optional
+        Sides of a pixel, um, lateral first.
+    """
     write_tiff(path, I, sides=sides)
 
 
@@ -171,6 +225,7 @@ def write_field(
 
     Parameters
     ----------
+    path : Path
     u : ndarray, shape (ndim, ...)
     unit : str
         Its unit, for the labels.
@@ -186,9 +241,16 @@ def write_field(
 def write_pages(
     path: Path, pages: Array, labels: list[str], sides: Sequence[float] | None = None
 ) -> None:
-    """Write labelled images or volumes, shape (n, ...), as float32 ImageJ TIFF, for Fiji channels.
+    """Write labelled images or volumes as float32 ImageJ TIFF; channels to Fiji.
 
-    The pixel's ``sides`` in um go with them where they are known.
+    Parameters
+    ----------
+    path : Path
+    pages : ndarray, shape (n, ...)
+    labels : list of str
+        What each of them is.
+    sides : sequence, optional
+        Sides of a pixel, um, lateral first.
     """
     write_tiff(path, np.moveaxis(pages, 0, -3), labels, sides)
 

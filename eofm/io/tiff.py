@@ -66,6 +66,8 @@ def read_tiff(name: str) -> Scan:
         if page.photometric == PALETTE and not _grey(page.colormap):
             raise InputError(f"{name}: has a colour map; convert it to greyscale first")
         pages = series.asarray(maxworkers=1)
+        if pages.shape != series.shape:
+            raise ValueError(f"it says {series.shape} and holds {pages.shape}")
         written = CHECKSUM.search(page.description or "")
         axes, sizes = _meant(series.axes), _sizes(tiff)
     if written and written[1] != _digest(pages):

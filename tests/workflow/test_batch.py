@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import eofm
@@ -17,6 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "workflow/scripts"))
 from parts import parts
 from runs import only_run
 from sample_rows import run_rows
+from samples_left import write_what_is_left
 
 
 def test_parts_hold_every_row_once_and_few_start():
@@ -76,3 +78,26 @@ def test_a_folder_has_one_run_and_kill_9_leaves_no_lock(tmp_path):
     held = only_run(tmp_path)
     assert held is not None
     held.close()
+
+
+def test_rows_of_a_killed_job_stand_in_the_table_with_what_the_cluster_says(tmp_path, capsys):
+    kept = {"sample": "a", "state": "done", "reason": "", "seconds": 1.5, "key": "x"}
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a/.state.json").write_text(json.dumps(kept))
+    log = tmp_path / "run.log"
+    log.write_text(
+        "Error in rule samples_1:\n"
+        "    message: SLURM-job '7' failed, SLURM status is: 'TIMEOUT'. Detailed reason: none.\n"
+        "    jobid: 4\n"
+        "Error in rule samples_2:\n    jobid: 5\n"
+    )
+    rows = {"a": "samples_0", "b": "samples_1", "c": "samples_2"}
+    write_what_is_left(rows, tmp_path, [str(log)])
+    table = pd.read_csv(tmp_path / "summary.csv").set_index("sample")
+    assert table.state.to_dict() == {"a": "done", "b": "crashed", "c": "crashed"}
+    ended = "its job ended before it was done"
+    assert table.reason["b"].startswith(
+        f"{ended} (SLURM-job '7' failed, SLURM status is: 'TIMEOUT')"
+    )
+    assert table.reason["c"] == f"{ended}; the next run tries it again"
+    assert capsys.readouterr().err.splitlines()[-1] == "2 of 3 samples have no results"

@@ -4,6 +4,17 @@ OWN = "results/samples"
 PARTS = list(parts({n: row for n, row in SAMPLES.items() if "tiles" not in row}))
 
 
+# Jobs that were killed say nothing themselves; their rows stand in the table all the same.
+onerror:
+    left = [job for job in workflow.dag.jobs if "samples_summary" in job.rule.name]
+    if left and not workflow.dag.finished(left[0]):
+        from samples_left import write_what_is_left
+
+        number = {name: n for n, names in enumerate(PARTS) for name in names}
+        rules_of = {name: f"samples_{number[name]}" for name in SAMPLES}
+        write_what_is_left(rules_of, Path(OWN), log)
+
+
 # The last step, so that what is wrong stands at the end; the others have run by then.
 rule samples:
     input:

@@ -1,4 +1,4 @@
-"""A table of all samples as HTML: for the first page of the report, and with their own pages."""
+"""A table of all samples: as CSV, for the first page of the report, and with their own pages."""
 
 import html
 import json
@@ -6,10 +6,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import tifffile
 
 from eofm.analysis.findings import Units
 from eofm.analysis.pictures import png
+from eofm.io import replacing
+
+# Files of the table.
+CSV, HTML, PART = "summary.csv", "index.html", "table.html"
+FIRST = ["sample", "state", "reason", "verdict", "seconds"]
 
 # Samples that are shown, and bytes of their own pages that go into one page.
 SHOWN, EMBEDDED = 500, 8_000_000
@@ -44,6 +50,19 @@ for (const link of document.querySelectorAll("a[data-sample]")) {
 }
 </script></body></html>
 """
+
+
+def write(states: list[dict[str, Any]], folder: Path) -> None:
+    """Write the table in all its forms to the folder of the samples' folders."""
+    columns = [*FIRST, *sorted({k for s in states for k in s} - {*FIRST})]
+    rows = pd.DataFrame(states, columns=columns).drop(columns="key", errors="ignore")
+    with replacing(folder / CSV) as temporary:
+        rows.to_csv(temporary, index=False, float_format="%.6g")
+    with replacing(folder / HTML) as temporary:
+        temporary.write_text(page(states, folder), encoding="utf-8")
+    # For the first page of the report, which lies beside the folder results.
+    with replacing(folder / PART) as temporary:
+        temporary.write_text(table(states, folder, folder.as_posix()), encoding="utf-8")
 
 
 def table(states: list[dict[str, Any]], folder: Path, links: str) -> str:
@@ -91,7 +110,7 @@ def _row(state: dict[str, Any], folder: Path, links: str) -> str:
         cells[1] = _thumbnail(summary.parent, values)
         motion = "<br>".join(_ranges(values))
         strain = f"{100 * values['axial_strain_mean']:.2f} %"
-    cells += [motion, strain, f"{state['seconds']:.3g}"]
+    cells += [motion, strain, f"{state['seconds']:.3g}" if "seconds" in state else ""]
     shown = "".join(
         f'<td style="{CELL if k == 2 else NARROW} border-top: 1px solid #8884">{cell}</td>'
         for k, cell in enumerate(cells)
