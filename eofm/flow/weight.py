@@ -24,8 +24,9 @@ REACH = 8.0
 # Ratio of two weights that are compared: the minimum is flat; and how far they go from the
 # first, in such steps.
 STEP, FARTHEST = 3.0, 6
-# Fewer blocks than these do not tell weights apart.
-BLOCKS = 20
+# Fewer blocks than these do not tell weights apart; where there are fewer than MANY, all are held
+# out by turns.
+BLOCKS, MANY = 20, 256
 # Pixels around a held-out block that are not used either: the noise of images that were
 # filtered is correlated, and would be fitted on both sides of the border.
 MARGIN = 2
@@ -73,7 +74,7 @@ def choose_alpha(
     Goes downhill from ``start`` in factors of 3, then to the vertex of the parabola through
     the three best in log alpha: four or five solves for each of two quarters that are held
     out. Of large images, one quarter of some windows does, so that this takes the same time
-    for all.
+    for all; of small ones all quarters are held out.
 
     Parameters
     ----------
@@ -89,7 +90,7 @@ def choose_alpha(
     trials = [
         Trial(_cut(match, w), about[:, *w], prescribed[:, *w], free[w], fold, ridge)
         for w in windows
-        for fold in ((0, 2) if len(windows) == 1 else (0,))
+        for fold in folds(match.grid.shape, len(windows))
     ]
     return least_misfit(trials, start)
 
@@ -147,6 +148,13 @@ def around(mask: Mask, margin: int) -> Mask:
         sides = [(margin, margin) if k == axis else (0, 0) for k in range(mask.ndim)]
         near = np.any(sliding_window_view(np.pad(near, sides), 2 * margin + 1, axis), axis=-1)
     return near
+
+
+def folds(shape: tuple[int, ...], windows: int) -> tuple[int, ...]:
+    """Quarters that are held out by turns."""
+    if math.prod(shape) < MANY * BLOCK ** len(shape):
+        return 0, 1, 2, 3
+    return (0, 2) if windows == 1 else (0,)
 
 
 def sample_windows(shape: tuple[int, ...]) -> list[tuple[slice, ...]]:
