@@ -237,10 +237,21 @@ def sampled_pairs(
         if settings.robust and not fine:
             J1, J2 = (normalise_locally(J, (COARSE,) * J.ndim) for J in (J1, J2))
         live, live_after = (~_resized(m, grid.shape) for m in (before, after))
-        mean, robust = settings.gradients == "mean", settings.robust and fine
-        straight = settings.robust
-        pairs.append(ImagePair(grid, J1, J2, live, live_after, mean, robust, straight))
+        pairs.append(image_pair(grid, (J1, J2), (live, live_after), settings, fine))
     return pairs
+
+
+def image_pair(
+    grid: Grid,
+    images: tuple[Array, Array],
+    live: tuple[Mask, Mask],
+    settings: Estimation,
+    fine: bool,
+    offset: tuple[int, ...] = (),
+) -> ImagePair:
+    """Images on a grid, and how they are compared there; ``fine`` grids fit brightness."""
+    mean, robust = settings.gradients == "mean", settings.robust and fine
+    return ImagePair(grid, *images, *live, mean, robust, settings.robust, offset)
 
 
 def normalised(

@@ -19,7 +19,7 @@ import numpy as np
 from eofm.errors import InputError
 from eofm.flow.matching import ImagePair, Match
 from eofm.flow.multigrid import multigrid
-from eofm.flow.problem import COARSE, FINEST, ROUGH, Level, Problem, nothing
+from eofm.flow.problem import COARSE, FINEST, ROUGH, Level, Problem, image_pair, nothing
 from eofm.flow.trust import Trust, judge
 from eofm.flow.weight import (
     RIDGE,
@@ -199,8 +199,7 @@ class Scale:
             after.append(slice(first, max(min(last, n), first + min(n, 2 * BEYOND))))
         (I1, live), (I2, live_after) = self._image(0, region), self._image(1, tuple(after))
         offset = tuple(r.start - a.start for r, a in zip(region, after, strict=True))[::-1]
-        mean, robust = settings.gradients == "mean", settings.robust and self.fine
-        return ImagePair(grid, I1, I2, live, live_after, mean, robust, settings.robust, offset)
+        return image_pair(grid, (I1, I2), (live, live_after), settings, self.fine, offset)
 
     def _image(self, k: int, window: Window) -> tuple[Array, Mask]:
         if not self.problem.settings.robust or self.fine:
@@ -297,8 +296,8 @@ def choose(
     alpha = alpha or float(np.mean([first_alpha(part[0]) for part in parts]))
     decides = number >= len(scale.problem.grids) - 2 and enough(scale.grid.shape)
     if settings.alpha is None and decides:
-        quarters = folds(scale.grid.shape, len(tiles))
-        trials = [Trial(*part, fold, RIDGE * strength) for part in parts for fold in quarters]
+        held = folds(scale.grid.shape, len(tiles))
+        trials = [Trial(*part, fold, RIDGE * strength) for part in parts for fold in held]
         best, alpha = least_misfit(trials, alpha, chosen)
         chosen = *chosen, best
     reach = (alpha / (strength + np.finfo(float).tiny)) ** 0.25

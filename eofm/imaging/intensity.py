@@ -17,22 +17,25 @@ from eofm.settings import LARGEST, LEAST
 # A highlight is so many times as high above the median as three in four local maxima are, which
 # are the brightest of squares of PEAK px; and its surroundings, px, are none the better.
 HIGHLIGHT, PEAK, MARGIN = 4.0, 5, 2
-# Where there are more of them, that is what the sample looks like.
+# Where there are more of them, that is what the sample looks like: of the whole, and of a Gaussian
+# window of a width, px. The skin is as bright, in a scan that shows air above it.
 RARE = 0.05
-# Length of a line of saturated pixels that no structure makes, px.
-LINE = 32
-# An impulse differs so many times as far from its neighbours' mean as three in four pixels do, and
-# so much of what it differs by from its surroundings from all neighbours but one: the light of
-# no lens does, whose points are wider than a pixel.
-IMPULSE, ALONE = 4.0, 0.7
-# Least part of what surroundings vary by, but for two pixels at either end.
-CLEAR = 0.35
+ISOLATED, NEIGHBOURHOOD = 0.02, 16.0
+# Length of a line of saturated pixels that no structure makes, px, if not more than a part of the
+# pixels that touch it is saturated: structures that are clipped are ragged.
+LINE, RAGGED = 32, 0.25
 # Speckle of linear intensity: sides of blocks, px; the contrast in them, whose theory is 0.52 for
 # amplitudes and 1 for intensities; how fast it grows with their mean, which is not at all after a
 # logarithm; and the range of the means, as a ratio: 15 dB.
 BLOCK, CONTRAST, GROWTH, RANGE = 8, (0.4, 1.3), 0.75, 10 ** (15 / 20)
 # Slices of a volume, and blocks, that suffice to tell.
 SLICES, ENOUGH = 16, 64
+# An impulse differs so many times as far from its neighbours' mean as three in four pixels do, and
+# so much of what it differs by from its surroundings from all neighbours but one: the light of
+# no lens does, whose points are wider than a pixel.
+IMPULSE, ALONE = 4.0, 0.7
+# Least part of what surroundings vary by, but for two pixels at either end.
+CLEAR = 0.35
 # Numbers whose sums are taken at once.
 CHUNK = 2**19
 # What is said of it.
@@ -144,7 +147,8 @@ class Levels(NamedTuple):
         if not peaks.size:
             return None
         highlight = HIGHLIGHT * np.quantile(peaks, 0.75)
-        top = np.max(above, where=above <= highlight, initial=0.0)
+        lit = highlights(above, highlight)
+        top = np.max(above, where=~lit, initial=0.0)
         steep = bumps(I)
         bump = IMPULSE * np.quantile(steep.ravel()[:: max(1, steep.size // CHUNK)], 0.75)
         return cls(median, highlight, top, bump if rare(steep > bump, 2 * RARE) else np.inf)
@@ -154,13 +158,13 @@ class Levels(NamedTuple):
         from scipy import ndimage
 
         above = I - self.median
-        found = above > self.highlight
+        found = highlights(above, self.highlight)
         top = (above >= self.top).view(np.uint8)
         for axis in range(I.ndim if np.count_nonzero(top) >= LINE else 0):
             # A line is what a segment of LINE pixels can cover: of an opening, both steps.
             starts = ndimage.minimum_filter1d(top, LINE, axis, mode="constant")
             lines = ndimage.maximum_filter1d(starts, LINE, axis, mode="constant", origin=-1)
-            found |= lines.view(bool)
+            found |= _smooth_edged(lines.view(bool), top.view(bool))
         return found
 
     def single(self, I: Array) -> Mask:
@@ -194,12 +198,22 @@ def rare(found: Mask, part: float = RARE) -> bool:
     return bool(0 < np.count_nonzero(found) < part * found.size)
 
 
+def highlights(above: Array, height: float) -> Mask:
+    """Pixels that are so high above the median, and stand alone."""
+    found = above > height
+    if found.any():
+        share = Window(np.ones_like(found), NEIGHBOURHOOD).mean(found.astype(above.dtype))
+        found &= share < ISOLATED
+    return found
+
+
 def defects(I: Array, levels: Levels | None = None) -> Mask:
     """Pixels that show the detector instead of the sample: highlights, saturated lines, impulses.
 
     Saturated pixels as such are none: what is clipped where it is bright moves with the
-    sample. None is found where it would make up more than 5 % of the image or volume.
-    Of a part of an image that has defects, the ``levels`` are those of the whole.
+    sample. Highlights stand alone, and none is found where it would make up more than 5 % of the
+    image or volume. Of a part of an image that has defects, the ``levels`` are those of the
+    whole.
     """
     from scipy import ndimage
 
@@ -212,6 +226,22 @@ def defects(I: Array, levels: Levels | None = None) -> Mask:
     if found.any():
         single |= ndimage.binary_dilation(found, iterations=MARGIN)
     return single
+
+
+def _smooth_edged(lines: Mask, top: Mask) -> Mask:
+    """Those of some lines that few pixels touch which are saturated as well."""
+    from scipy import ndimage
+
+    label, count = ndimage.label(lines, ndimage.generate_binary_structure(lines.ndim, lines.ndim))
+    if not count:
+        return lines
+    wider = ndimage.maximum_filter(label, 3)
+    wider[lines] = 0
+    touching = np.bincount(wider.ravel(), minlength=count + 1)
+    saturated = np.bincount(wider[top], minlength=count + 1)
+    smooth: Mask = saturated <= RAGGED * touching
+    smooth[0] = False
+    return smooth[label]
 
 
 def looks_linear(I: Array) -> bool:

@@ -7,6 +7,7 @@ import eofm
 import eofm.grid
 from eofm.flow.start import consistent, match_blocks
 from eofm.grid import Grid
+from eofm.imaging.gaussian import blur
 from eofm.imaging.intensity import Levels, Window, defects, normalise_locally
 
 SHAPE = (96, 112)
@@ -165,6 +166,22 @@ def test_impulses_are_single_pixels(rng):
 def test_points_as_a_lens_shows_them_are_no_impulses(sigma):
     look = eofm.Phantom(count=300, sigma=(sigma, sigma), noise=0.01, seed=7)
     assert impulses(eofm.make_phantom(motion(), look)[0]).mean() < 1e-3
+
+
+def test_the_skin_is_no_defect(rng):
+    """Below air, which is all noise, a bright surface is far above most maxima, and clipped."""
+    depth = np.arange(256)[:, None] - 180 - 3 * np.sin(np.arange(200) / 9)
+    I = 0.05 * rng.random(depth.shape) + 0.3 * rng.random(depth.shape) * (depth > 0)
+    I += rng.exponential(2.0, I.shape) * ((depth > 0) & (depth < 2))
+    I = blur(I, 0.7)
+    I += 2.0 * ((depth >= 2) & (depth < 5))
+    clipped = np.minimum(I, 1.0)
+    assert np.count_nonzero(clipped == 1) > 600
+    assert not defects(I).any()
+    assert not defects(clipped).any()
+    found = defects(line(clipped))
+    assert found[38:44].all()
+    assert not found[44:].any()
 
 
 def test_window_is_a_gaussian_average_over_a_mask(rng):

@@ -44,11 +44,15 @@ def test_windows_have_the_grey_scale_of_the_whole(lights, line, impulses):
 
     greys = Greys.of(raw, SHAPE, 5000, robust=True)
     assert Greys.parse(json.loads(json.dumps(greys.summary()))) == greys
-    (expected, dead) = whole(pair)
+    expected, dead = whole(pair)
+
+    def marked(k, window):
+        return greys.dead(raw, k, window, SHAPE)
+
     assert any(d.any() for d in dead) == (lights > 0 or line or impulses > 0)
     for k in (0, 1):
         for window in windows(SHAPE, 9000):
-            I, live = greys.read(raw, k, window, SHAPE)
+            I, live = greys.read(raw, marked, k, window, SHAPE)
             np.testing.assert_array_equal(live, ~dead[k][window])
             # What is filled in is that of one of several nearest pixels.
             np.testing.assert_allclose(I[live], expected[k][window][live], atol=1e-6)
