@@ -28,7 +28,6 @@ from eofm.flow.weight import (
     first_alpha,
     folds,
     least_misfit,
-    sample_windows,
 )
 from eofm.grid import Array, Edge, Grid, Mask, faces
 from eofm.imaging.intensity import normalise_locally
@@ -38,6 +37,8 @@ from eofm.imaging.splines import needed, resize_part
 BEYOND = 8
 # Widths of a Gaussian that count.
 FAR = 4
+# Side of the parts on which the weight of a large scale is chosen, and of one that is not, samples.
+PROBE, LARGE = 64, 96
 
 Window = tuple[slice, ...]
 # Images before and after compression, and what is live of them, in a window of each.
@@ -236,8 +237,16 @@ def carried(
 
 
 def probes(shape: tuple[int, ...], overlap: int) -> list[Tile]:
-    """Parts of a grid on which weights are chosen: those that the whole would choose them on."""
-    cores = sample_windows(shape)
+    """Parts of a grid on which weights are chosen, in the middles of opposite quarters."""
+
+    def cuts(n: int) -> list[slice]:
+        if n <= LARGE:
+            return [slice(0, n)]
+        starts = (int(np.clip(c - PROBE // 2, 0, n - PROBE)) for c in (n // 4, 3 * n // 4))
+        return [slice(start, start + PROBE) for start in starts]
+
+    sides = [cuts(n) for n in shape]
+    cores = [tuple(side[k % len(side)] for side in sides) for k in range(max(map(len, sides)))]
     return [
         Tile(
             core,
@@ -297,7 +306,11 @@ def choose(
     decides = number >= len(scale.problem.grids) - 2 and enough(scale.grid.shape)
     if settings.alpha is None and decides:
         held = folds(scale.grid.shape, len(tiles))
-        trials = [Trial(*part, fold, RIDGE * strength) for part in parts for fold in held]
+        trials = [
+            Trial(*part, fold, RIDGE * strength, np.ones_like(part[0].r))
+            for part in parts
+            for fold in held
+        ]
         best, alpha = least_misfit(trials, alpha, chosen)
         chosen = *chosen, best
     reach = (alpha / (strength + np.finfo(float).tiny)) ** 0.25

@@ -36,12 +36,19 @@ BLOCKS, MANY = 20, 256
 # Pixels around a held-out block that are not used either: the noise of images that were
 # filtered is correlated, and would be fitted on both sides of the border.
 MARGIN = 2
-# Side of the windows that stand for a large image, or a volume, and for one larger than what, px.
-WINDOW = {2: (192, 384), 3: (64, 96)}
+# Side of the windows that stand for a large image, or a volume, and for one larger than what, px;
+# and how many there are.
+WINDOW, WINDOWS = {2: (120, 384), 3: (48, 96)}, 5
+# Pixels at its sides that only the field is given: a window ends where the image goes on, and the
+# field is worse there than in the image, which would make weights too small.
+INNER = 2 * BLOCK
+# Part of the windows that goes by the data alone, not by the roughness of the motion.
+EVEN = 0.5
 # Change of v by the last iteration of a trial solve, px.
 ACCURACY = 1e-2
 # Part of the image's mean data term that is added to all: a window may be black.
 RIDGE = 1e-9
+TINY = float(np.finfo(np.float32).tiny)
 
 
 def first_alpha(match: Match) -> float:
@@ -71,7 +78,8 @@ def choose_alpha(
     Goes downhill from ``start`` in factors of 3, then to the vertex of the parabola through
     the three best in log alpha: four or five solves for each of two quarters that are held
     out. Of large images, one quarter of some windows does, so that this takes the same time
-    for all; of small ones all quarters are held out.
+    for all; of small ones all quarters are held out. Windows lie where motion is rough and
+    where it is smooth, and count as what they stand for, see `drawn`.
 
     Motion that varies within a few structures of the image has two minima: large weights
     smooth it away, those between follow some of it wrongly, and small ones find it. So
@@ -91,11 +99,11 @@ def choose_alpha(
         Wang and Yang, Stat. Sci. 16, 2001), least so on coarser scales. Where one of them is
         larger, its geometric mean with that of this scale is used, as far as the misfit allows.
     """
-    windows = sample_windows(match.grid.shape)
+    windows = _windows(match)
     ridge = RIDGE * match.strength
     trials = [
-        Trial(_cut(match, w), about[:, *w], prescribed[:, *w], free[w], fold, ridge)
-        for w in windows
+        Trial(_cut(match, w), about[:, *w], prescribed[:, *w], free[w], fold, ridge, inner)
+        for w, inner in windows
         for fold in folds(match.grid.shape, len(windows))
     ]
     return least_misfit(trials, start, before)
@@ -119,7 +127,7 @@ def least_misfit(
         return k
 
     k = downhill(0)
-    squares = sum(float((t.match.g**2).sum(0)[t.out].sum()) for t in trials)
+    squares = sum(float((t.counts * (t.match.g**2).sum(0)).sum()) for t in trials)
     if not before and misfit(k) > (LOST * trials[0].match.grid.side) ** 2 * squares:
         low = min((k - far for far in PROBES), key=misfit)
         if misfit(low) < TELLS * misfit(k):
@@ -146,20 +154,21 @@ class Trial:
         free: NDArray[np.bool_],
         fold: int,
         ridge: float,
+        counts: Array,
     ) -> None:
         self.match, self.about, self.free = match, about, free
         out = held_out(match.grid.shape, fold)
-        self.out = out & match.used
+        self.counts = counts * (out & match.used)
         terms = match.density(about, ~around(out, MARGIN))
         self.terms = Pointwise(terms.A + ridge * unit(terms.b), terms.b)
         self.prescribed, self.v = prescribed, np.zeros_like(about)
 
     def misfit(self, alpha: float) -> float:
-        """Sum of the squared residual on the pixels that are held out."""
+        """Sum of the squared residual on the pixels that are held out, as often as each counts."""
         F = Quadratic(self.match.grid, self.terms, alpha, self.free, "bending")
         self.v = multigrid(F.shifted(self.prescribed), change=ACCURACY, initial=self.v)
         r = self.match.residual(self.about + self.prescribed + self.v)
-        return float(np.sum(r[self.out] ** 2))
+        return float(np.sum(self.counts * r**2))
 
 
 def around(mask: Mask, margin: int) -> Mask:
@@ -178,19 +187,96 @@ def folds(shape: tuple[int, ...], windows: int) -> tuple[int, ...]:
     return (0, 2) if windows == 1 else (0,)
 
 
-def sample_windows(shape: tuple[int, ...]) -> list[tuple[slice, ...]]:
-    """The image or, where it is large, windows in the middles of opposite quarters or halves."""
-    width, large = WINDOW[len(shape)]
+def _windows(match: Match) -> list[tuple[tuple[slice, ...], Array]]:
+    """The image or, where it is large, some windows, and how often each pixel counts."""
+    width, large = WINDOW[match.grid.ndim]
+    shape = match.grid.shape
+    if max(shape) <= large:
+        return [(tuple(slice(0, n) for n in shape), np.ones(shape))]
+    sides = [_tiles(n, width) for n in shape]
+    data, rough = _contents(match, sides)
+    windows = []
+    for k, count in drawn(EVEN * data + (1 - EVEN) * rough, WINDOWS):
+        window = tuple(side[i] for side, i in zip(sides, k, strict=True))
+        windows.append((window, _counts(shape, window, count)))
+    return windows
 
-    def cuts(n: int) -> list[slice]:
-        if n <= large:
-            return [slice(0, n)]
-        starts = (int(np.clip(c - width // 2, 0, n - width)) for c in (n // 4, 3 * n // 4))
-        return [slice(start, start + width) for start in starts]
 
-    sides = [cuts(n) for n in shape]
-    count = max(map(len, sides))
-    return [tuple(side[k % len(side)] for side in sides) for k in range(count)]
+def _tiles(n: int, width: int) -> list[slice]:
+    """Windows that cover an axis of n samples, and overlap as little as they can."""
+    width = min(n, width)
+    starts = np.linspace(0, n - width, -(-n // width)).round().astype(int)
+    return [slice(int(start), int(start) + width) for start in starts]
+
+
+def _contents(match: Match, sides: list[list[slice]]) -> tuple[Array, Array]:
+    """Shares of the windows of a lattice in the squared gradient, and in that times roughness.
+
+    Roughness is the squared second difference of the motion between blocks. What a
+    weight takes away of it is seen where there are gradients.
+    """
+    blocks = [np.arange(0, n, BLOCK) for n in match.grid.shape]
+
+    def blockwise(f: Array) -> Array:
+        for axis, starts in enumerate(blocks):
+            f = np.add.reduceat(f, starts, axis)
+        return f
+
+    data = blockwise((match.g**2).sum(0) * match.used)
+    u, rough = match.u, np.zeros_like(data)
+    for axis, starts in enumerate(blocks):
+        u = u.take(starts, axis + 1)
+    for axis, n in enumerate(data.shape):
+        inner = tuple(slice(1, -1) if k == axis else slice(None) for k in range(data.ndim))
+        if n > 2:
+            rough[inner] += (np.diff(u, 2, axis + 1) ** 2).sum(0)
+    shares = []
+    for part in (data, data * rough):
+        sums = np.empty([len(side) for side in sides])
+        for k in np.ndindex(sums.shape):
+            window = (side[i] for side, i in zip(sides, k, strict=True))
+            sums[k] = part[
+                tuple(slice(s.start // BLOCK, s.stop // BLOCK + 1) for s in window)
+            ].sum()
+        shares.append((sums + TINY) / (sums + TINY).sum())
+    return shares[0], shares[1]
+
+
+def drawn(share: Array, count: int) -> list[tuple[tuple[int, ...], float]]:
+    """Indices of places drawn in proportion to their share, and the inverse of that probability.
+
+    Sums over the places drawn, each times that number, are estimates of sums over all of them
+    without bias (Horvitz and Thompson, J. Am. Stat. Assoc. 47, 1952). Draws are systematic: the
+    middles of ``count`` equal parts of the accumulated share, with every other row backwards,
+    so that neighbours do not stand for each other. A place that is met twice counts twice.
+
+    Parameters
+    ----------
+    share : ndarray
+        Positive, of sum 1.
+    count : int
+    """
+    numbers = np.arange(share.size).reshape(share.shape)
+    numbers[1::2] = numbers[1::2, ::-1]
+    order = numbers.ravel()
+    ends = np.cumsum(share.ravel()[order])
+    middles = ends[-1] * (np.arange(count) + 0.5) / count
+    places, times = np.unique(np.searchsorted(ends, middles), return_counts=True)
+    return [
+        (np.unravel_index(place, share.shape), float(n / (count * share.flat[place])))
+        for place, n in zip(order[places], times, strict=True)
+    ]
+
+
+def _counts(shape: tuple[int, ...], window: tuple[slice, ...], count: float) -> Array:
+    """``count`` on the pixels of a window, 0 near a side where the image goes on."""
+    counts = np.zeros([s.stop - s.start for s in window])
+    inner = (
+        slice(INNER * (s.start > 0), s.stop - s.start - INNER * (s.stop < n))
+        for n, s in zip(shape, window, strict=True)
+    )
+    counts[tuple(inner)] = count
+    return counts
 
 
 def _cut(match: Match, window: tuple[slice, ...]) -> Match:
