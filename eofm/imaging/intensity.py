@@ -31,8 +31,8 @@ BLOCK, CONTRAST, GROWTH, RANGE = 8, (0.4, 1.3), 0.75, 10 ** (15 / 20)
 # Slices of a volume, and blocks, that suffice to tell.
 SLICES, ENOUGH = 16, 64
 # An impulse differs so many times as far from its neighbours' mean as three in four pixels do, and
-# so much of what it differs by from its surroundings from each neighbour: the light of no lens
-# does, whose points are wider than a pixel.
+# so much of what it differs by from its surroundings from all neighbours but one: the light of
+# no lens does, whose points are wider than a pixel.
 IMPULSE, ALONE = 4.0, 0.7
 # Least part of what surroundings vary by, but for two pixels at either end.
 CLEAR = 0.35
@@ -177,10 +177,11 @@ class Levels(NamedTuple):
         middle = np.median(around, axis=0)
         sign = np.sign(I[at] - middle)
         near = np.abs(offsets).max(axis=0) == 1
-        next_to_it = np.max(sign * around[near], axis=0)
+        # Two impulses may be neighbours.
+        second = np.sort(sign * around[near], axis=0)[-2]
         around.sort(axis=0)
         least = np.maximum(ALONE * sign * (I[at] - middle), CLEAR * (around[-3] - around[2]))
-        found[at] = sign * I[at] - next_to_it > least
+        found[at] = sign * I[at] - second > least
         return found
 
 
