@@ -596,6 +596,42 @@ class Pair(Measures, Scale):
         return self
 
 
+class Tiling(Section):
+    """How a volume is cut into parts that are estimated one by one."""
+
+    tiles: Annotated[
+        tuple[Annotated[int, Field(ge=1, le=1000)], ...], Field(min_length=3, max_length=3)
+    ] = Field(
+        description="number of tiles along the lateral, axial and elevational axis of a volume"
+    )
+    overlap: int = Field(
+        16,
+        ge=4,
+        le=1000,
+        description="how far tiles reach into each other, px; several times the length over which"
+        " the field is smoothed, which the log says",
+    )
+
+    @classmethod
+    def count(cls, text: str) -> tuple[int, ...]:
+        """Numbers of tiles from a text such as '4 4 2', elevational first, as arrays are.
+
+        Raises
+        ------
+        InputError
+            If it says something else.
+        """
+        words: list[Any] = [int(word) if word.isdecimal() else word for word in text.split()]
+        return cls.parse({"tiles": words}, "tiling").tiles[::-1]
+
+
+class PartOfScale(Section):
+    """Which tile of which scale."""
+
+    level: int = Field(0, ge=0, le=30, description="how many scales coarser than the volume's own")
+    number: int = Field(0, ge=0, le=MOST, description="number of the tile, from 0")
+
+
 class Figures(Section):
     """How the figures look."""
 

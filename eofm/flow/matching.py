@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from eofm.flow.functional import Pointwise, data_term
-from eofm.grid import Array, Grid, Mask, precision
+from eofm.grid import Array, Grid, Mask, componentwise, precision
 from eofm.imaging.gaussian import blur
 from eofm.imaging.intensity import Window
 from eofm.imaging.splines import Spline, gradient
@@ -155,6 +155,8 @@ class ImagePair:
     robust : bool
         Whether I1 is given the local brightness and contrast of the warped I2, and residuals
         are weighed.
+    offset : tuple of int, optional
+        Where the grid begins in I2, samples, lateral first, if that shows more than the grid.
     """
 
     grid: Grid
@@ -164,6 +166,7 @@ class ImagePair:
     live_after: Mask
     mean: bool
     robust: bool = False
+    offset: tuple[int, ...] = ()
 
     def linearise(self, u: Array) -> Match:
         """Return the images linearised about a displacement."""
@@ -189,6 +192,8 @@ class ImagePair:
     def _linearise(self, u: Array) -> tuple[Match, Array, Array]:
         """Images linearised about a displacement, the gradient of I1, and local contrast."""
         samples = self.grid.samples(u)
+        if any(self.offset):
+            samples = samples + componentwise(self.offset, self.grid.ndim)
         if self.mean:
             warped, g, inside = Spline(self.I2).warp_with_gradient(samples, self.grid.spacing)
         else:

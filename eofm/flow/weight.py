@@ -84,13 +84,18 @@ def choose_alpha(
     start : float
         First weight tried.
     """
-    windows = _windows(match.grid.shape)
+    windows = sample_windows(match.grid.shape)
     ridge = RIDGE * match.strength
     trials = [
-        _Trial(_cut(match, w), about[:, *w], prescribed[:, *w], free[w], fold, ridge)
+        Trial(_cut(match, w), about[:, *w], prescribed[:, *w], free[w], fold, ridge)
         for w in windows
         for fold in ((0, 2) if len(windows) == 1 else (0,))
     ]
+    return least_misfit(trials, start)
+
+
+def least_misfit(trials: "Sequence[Trial]", start: float) -> float:
+    """The weight with the least sum of the misfits of some trials."""
     misfits: dict[int, float] = {}
 
     def misfit(k: int) -> float:
@@ -108,7 +113,7 @@ def choose_alpha(
     return float(np.clip(start * STEP ** (k + shift), *ALPHA))
 
 
-class _Trial:
+class Trial:
     """One fold of one window; each solve starts from the one before."""
 
     def __init__(
@@ -144,7 +149,7 @@ def around(mask: Mask, margin: int) -> Mask:
     return near
 
 
-def _windows(shape: tuple[int, ...]) -> list[tuple[slice, ...]]:
+def sample_windows(shape: tuple[int, ...]) -> list[tuple[slice, ...]]:
     """The image or, where it is large, windows in the middles of opposite quarters or halves."""
     width, large = WINDOW[len(shape)]
 

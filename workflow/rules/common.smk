@@ -1,6 +1,7 @@
 """Checked settings, and what every rule needs to state its command and its inputs."""
 
 import os
+import re
 import sys
 from functools import cache
 from pathlib import Path
@@ -19,6 +20,7 @@ from deploy import prefix
 from imports import Sources
 from parts import memory, minutes, parts, pixels
 from runs import only_run
+from tiled import levels, numbers, tile_memory, tile_minutes, tiled
 
 # A step that ends with 3 has written a result that it says not to trust: the log says why, and
 # what follows shows it.

@@ -66,7 +66,7 @@ def run_rows(rows: dict[str, dict[str, Any]], folder: Path, code: list[str], thr
             late = time.monotonic() - started >= row["seconds"]
             _say(name, row, f"took longer than {row['seconds']} s" if late else ENDED)
             status, pool = None, _pool()
-        state = {"sample": name} | _state(status, place, Path(row["log"]))
+        state = {"sample": name} | state_of(status, place, Path(row["log"]))
         state |= {"seconds": round(time.monotonic() - started, 2), "key": key}
         for file in (KEPT, STATE):
             _write(place / file, state)
@@ -136,7 +136,7 @@ def _say(name: str, row: dict[str, Any], what: str) -> None:
     Path(row["log"]).write_text(f"eofm sample: {name}: {what}\n")
 
 
-def _state(status: int | None, place: Path, log: Path) -> dict[str, Any]:
+def state_of(status: int | None, place: Path, log: Path) -> dict[str, Any]:
     """What a row of the summary says of a sample."""
     said = log.read_text() if log.exists() else ""
     reason = " ".join(said.split()).removeprefix("eofm sample: ").removeprefix(f"{place.name}: ")
@@ -155,7 +155,8 @@ def _state(status: int | None, place: Path, log: Path) -> dict[str, Any]:
         "u2_least_px": summary["u2_range_px"][0],
         "u2_most_px": summary["u2_range_px"][1],
         "axial_strain_mean": summary["axial_strain_mean"],
-        "forward_backward_error_median_px": summary["forward_backward_error_median_px"],
+        # Tiles are not estimated backwards.
+        "forward_backward_error_median_px": summary.get("forward_backward_error_median_px"),
     }
     return {
         "state": READY,

@@ -126,9 +126,11 @@ def _ranges(summary: dict[str, Any]) -> list[str]:
 
 
 def _thumbnail(place: Path, summary: dict[str, Any]) -> str:
-    u = tifffile.imread(place / "displacement.tif")
+    u = tifffile.memmap(place / "displacement.tif", mode="r")
     axial = u[1] if u.ndim == 3 else u[:, 1]
-    low, high = (float(f(axial)) for f in (np.nanmin, np.nanmax))
+    # Of volumes in tiles, only the sections are read.
+    ends = summary["u2_range_px"] if "tiles" in summary else (np.nanmin(axial), np.nanmax(axial))
+    low, high = map(float, ends)
     high = high if high > low else low + 1
     address, (width, height) = png(axial, (low, high), "viridis", summary["pixel_size_um"], SIDE)
     scale = SIDE / max(width, height)
