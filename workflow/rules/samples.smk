@@ -10,8 +10,9 @@ onerror:
     if left and not workflow.dag.finished(left[0]):
         from samples_left import write_what_is_left
 
-        number = {name: n for n, names in enumerate(PARTS) for name in names}
-        rules_of = {name: f"samples_{number[name]}" for name in SAMPLES}
+        rules_of = dict.fromkeys(SAMPLES, "gathered")
+        for number, names in enumerate(PARTS):
+            rules_of |= dict.fromkeys(names, f"samples_{number}")
         write_what_is_left(rules_of, Path(OWN), log)
 
 
