@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy.sparse as sp
 from tqdm import tqdm
 
 from eofm.elasticity.forward import deform, press
@@ -27,6 +26,7 @@ from eofm.flow.functional import Pointwise
 from eofm.flow.known import Known
 from eofm.grid import FACES, Array, Edge, Mask, componentwise, faces, unit_spacing
 from eofm.identification.choice import NONE, Choice, choose, clearly_better
+from eofm.identification.edges import motions
 from eofm.identification.folds import Folds
 from eofm.identification.inversion import LARGEST, Inversion, Report, gauss_newton
 from eofm.imaging.gaussian import blur
@@ -40,11 +40,6 @@ UNCERTAIN = 0.5
 ELEMENTS = 6400
 # Smallest side of an element then, px.
 SMALLEST = 4.0
-# Distance of the nodes between which an edge of unknown motion moves linearly, px, and what it
-# may be off by: some deviations of the estimate, and px.
-HATS = 7.0
-DOUBT, UNKNOWN = 2.0, 0.02
-EDGE_SAMPLES = 8
 # Largest contrast of a first guess.
 STRONGEST = 8.0
 TINY = np.finfo(np.float64).tiny
@@ -256,17 +251,12 @@ class Setup:
             # What the mesh gets wrong where E = 1.
             plain = model.to_pixels(model.solve(np.zeros(model.shape)).u)
             correction = self.h * self.u_bg - plain
-        hats, nodes = model.hats(HATS)
-        if self.loose:
-            sides = zip(nodes, self.sample.shape, model.shape, strict=True)
-            i, j = (np.round(k * (n - 1) / e).astype(int) for k, n, e in sides)
-            doubt = self.h * (DOUBT * estimate.deviation(EDGE_SAMPLES) + UNKNOWN)
-            hats = (hats @ sp.diags_array(doubt[:, i, j].ravel())).tocsc()
+        edges = motions(model, estimate, self.h)
         problems = []
         for mask in masks:
             data = match.density(np.zeros_like(self.u_bg), mask)
             scaled = Pointwise(data.A / match.noise**2, data.b / match.noise**2)
-            problems.append(Inversion(model, correction, scaled, self.settings.epsilon, hats))
+            problems.append(Inversion(model, correction, scaled, self.settings.epsilon, edges))
         return problems
 
     def choose(self, estimate: Estimate, report: Report) -> tuple[Choice, str]:
