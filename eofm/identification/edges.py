@@ -21,10 +21,10 @@ LEAST = 1e-3
 def motions(model: Elastic, estimate: Estimate, h: Array) -> sp.csc_array:
     """Motions of the loose edges, one standard deviation each.
 
-    Modes of a normal field along them whose covariance is
-    ``d(x) d(y) (1 + r) exp(-r)``, with the doubt d of each place and ``r = sqrt(3) |x - y| / ALIKE``
-    (Matern's, of fields that have a slope). Edges whose places
-    are free of each other would follow the noise of single bubbles, and the modulus with them.
+    Modes of a normal field along them whose covariance is ``d(x) d(y) (1 + r) exp(-r)``, with
+    the doubt d of each place and ``r = sqrt(3) |x - y| / ALIKE`` (Matern's, of fields that have
+    a slope). Edges whose places are free of each other would follow the noise of single bubbles,
+    and the modulus with them.
 
     Parameters
     ----------
