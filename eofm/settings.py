@@ -477,6 +477,11 @@ class Identification(Section):
     worse: float = Field(
         1.0, ge=0, description="the same, by which the preset is better where E is refused"
     )
+    clarity: float = Field(
+        1.7,
+        ge=0,
+        description="contrast of log E relative to its error bars below which it is refused",
+    )
     epsilon: Positive = Field(0.02, description="gradient of log E that counts as an edge, 1/px")
     iterations: int = Field(30, ge=1, le=1000, description="largest number of Gauss-Newton steps")
     least_gain: Positive = Field(5.0, description="gain in log-likelihood at which they stop")
