@@ -21,12 +21,12 @@ ROWS, PIXELS, AT_ONCE = 20, 2_000_000, 8
 # Files of different sizes that are opened while a table is planned, at most.
 OPENED = 200
 # Of processes that analyse images, and volumes: MB and seconds of any, and of a million pixels.
-MB = {2: (300, 660), 3: (300, 700)}
-SECONDS = {2: (2.5, 40.0), 3: (2.5, 200.0)}
+MB = {2: (330, 500), 3: (355, 220)}
+SECONDS = {2: (2.2, 22.0), 3: (3.0, 80.0)}
 # MB of what starts the process of the rows in a job of Slurm.
 SNAKEMAKE = 250
 # Seconds of any row, whatever its size.
-ROW = 1.0
+ROW = 2.2
 # Minutes for what the processor does not do, such as to start on a busy file system; and how much
 # slower than the machine of these figures another may be.
 START, SLOWER = 3, 1.4
