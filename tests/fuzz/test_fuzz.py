@@ -1,10 +1,12 @@
 """All that was ever found stays mended, and a short run finds nothing new."""
 
+from collections import Counter
 from pathlib import Path
 
 import fuzz
 import numpy as np
 import pytest
+from record import recorded
 
 from eofm import io
 from eofm.errors import InputError
@@ -42,3 +44,16 @@ def test_a_reader_that_crashes_or_hangs_is_found(tmp_path, monkeypatch):
     said.append(fuzz._outcome(".png", broken))
     assert [outcome for outcome, _ in said] == ["refused", "fault"]
     assert "ZeroDivisionError" in said[1][1]
+
+
+def test_counts_of_files_in_a_row_are_added_and_a_gap_is_refused(tmp_path):
+    path = tmp_path / "figures.json"
+    for start in (0, 10):
+        results = Counter({(".tif", "read"): 6, (".tif", "refused"): 3, ("hdf5", "contained"): 1})
+        fuzz.note(path, 1, range(start, start + 10), results, [], "again")
+    said = recorded(path)["fuzz"]
+    assert (said["files"], said["read"], said["refused"], said["contained"]) == (20, 12, 6, 2)
+    assert said["kinds"] == {"hdf5": 2, "tif": 18}
+    for seed, first in ((1, 30), (2, 20)):
+        with pytest.raises(SystemExit, match="does not end with file"):
+            fuzz.note(path, seed, range(first, 40), Counter(), [], "again")
