@@ -17,7 +17,7 @@ from eofm.analysis.metrics import relative_errors
 from eofm.io import read_field
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "workflow/scripts"))
-from reliability import compare
+from reliability import compare, compare_steps
 
 PARTS = ["Snakefile", "config", "workflow", "profiles", "eofm", "tests/small.yaml"]
 
@@ -102,10 +102,12 @@ def test_one_bad_sample_fails_the_run_not_the_others(project):
     assert '"steps": 1' in (folder / "summary.json").read_text()
 
 
-def test_a_row_takes_about_the_memory_that_is_said_before(project):
+def test_rows_and_steps_take_about_the_memory_that_is_said_before(project):
     good, *refused = compare(project.root, "pairs.tsv")
     assert len(refused) == 2  # rows in tiles have jobs of their own
     assert 1 / 1.5 < good["mb"] < 1.5
+    steps = compare_steps(project.root, (45, 70))
+    assert all(1 / 1.5 < ratio < 1.5 for ratio in steps.values()), steps
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ rule preset:
     conda:
         "../envs/eofm.yaml"
     resources:
-        mem_mb=1000,
+        mem_mb=step_memory("estimate", settings.sample.shape),
     params:
         options=options(settings.preset),
     shell:
@@ -55,7 +55,7 @@ rule stiffness:
     conda:
         "../envs/eofm.yaml"
     resources:
-        mem_mb=2000,
+        mem_mb=step_memory("stiffness", settings.sample.shape),
     params:
         # The inclusions are what is sought.
         options=options(
@@ -90,7 +90,7 @@ rule figures_ours:
     conda:
         "../envs/eofm.yaml"
     resources:
-        mem_mb=500,
+        mem_mb=step_memory("figures", settings.sample.shape),
     params:
         figures=settings.figures.model_dump(),
     script:
@@ -117,7 +117,7 @@ rule figure_stiffness:
     conda:
         "../envs/eofm.yaml"
     resources:
-        mem_mb=500,
+        mem_mb=step_memory("figures", settings.sample.shape),
     params:
         figures=settings.figures.model_dump(),
         sample=settings.sample.model_dump(),

@@ -18,7 +18,7 @@ sys.path.insert(0, str(SCRIPTS))
 from commands import options, read_samples, sample_files, sample_words
 from deploy import prefix
 from imports import Sources
-from parts import asked_memory, minutes, parts, size
+from parts import asked_memory, minutes, parts, size, step_memory
 from runs import only_run
 from tiled import levels, numbers, tile_memory, tile_minutes, tiled
 

@@ -36,7 +36,7 @@ rule figures:
     conda:
         "../envs/eofm.yaml"
     resources:
-        mem_mb=500,
+        mem_mb=step_memory("figures", settings.sample.shape),
     params:
         figures=settings.figures.model_dump(),
     script:

@@ -16,7 +16,7 @@ rule track:
     conda:
         "../envs/eofm.yaml"
     resources:
-        mem_mb=500,
+        mem_mb=step_memory("track", settings.sample.shape),
     params:
         options=options(settings.tracking),
     shell:
@@ -46,7 +46,7 @@ rule estimate:
     conda:
         "../envs/eofm.yaml"
     resources:
-        mem_mb=1000,
+        mem_mb=step_memory("estimate", settings.sample.shape),
     params:
         options=lambda wildcards: options(settings.variant(wildcards.test)),
         background=lambda wildcards, input: (

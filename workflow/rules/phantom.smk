@@ -13,7 +13,7 @@ rule true_field:
     conda:
         "../envs/eofm.yaml"
     resources:
-        mem_mb=2000,
+        mem_mb=step_memory("forward", settings.sample.shape),
     params:
         options=options(settings.sample, settings.forward),
     shell:
@@ -32,7 +32,7 @@ rule background_field:
     conda:
         "../envs/eofm.yaml"
     resources:
-        mem_mb=1000,
+        mem_mb=step_memory("background", settings.sample.shape),
     params:
         options=options(settings.sample, settings.forward),
     shell:
@@ -54,7 +54,7 @@ rule phantom:
     conda:
         "../envs/eofm.yaml"
     resources:
-        mem_mb=500,
+        mem_mb=step_memory("phantom", settings.sample.shape),
     params:
         options=options(settings.phantom),
     shell:

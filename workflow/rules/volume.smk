@@ -27,6 +27,8 @@ use rule true_field as volume_true_field with:
         "logs/volume/true_field.log",
     benchmark:
         "benchmarks/volume/true_field.tsv"
+    resources:
+        mem_mb=2000,
     params:
         options=options(settings.volume.sample, settings.forward),
 
@@ -38,6 +40,8 @@ use rule background_field as volume_background_field with:
         "logs/volume/background_field.log",
     benchmark:
         "benchmarks/volume/background_field.tsv"
+    resources:
+        mem_mb=2000,
     params:
         options=options(settings.volume.sample, settings.forward),
 
@@ -56,6 +60,8 @@ use rule phantom as volume_phantom with:
         "benchmarks/volume/{images}/phantom.tsv"
     wildcard_constraints:
         images="|".join(IMAGES),
+    resources:
+        mem_mb=2000,
     params:
         options=lambda wildcards: options(IMAGES[wildcards.images]),
 
@@ -74,6 +80,8 @@ use rule track as volume_track with:
         "benchmarks/volume/{images}/track.tsv"
     wildcard_constraints:
         images="|".join(IMAGES),
+    resources:
+        mem_mb=2000,
 
 
 use rule preset as volume_estimate with:

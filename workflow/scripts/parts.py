@@ -27,6 +27,16 @@ SECONDS = {2: (2.2, 22.0), 3: (3.0, 80.0)}
 SNAKEMAKE = 250
 # Seconds of any row, whatever its size.
 ROW = 2.2
+# MB of the steps of the experiment on an image: of any, and of a million of its pixels.
+STEPS = {
+    "forward": (160, 33_000),
+    "background": (270, 30),
+    "phantom": (225, 20),
+    "track": (240, 70),
+    "estimate": (235, 210),
+    "stiffness": (300, 1000),
+    "figures": (240, 300),
+}
 # Minutes for what the processor does not do, such as to start on a busy file system; and how much
 # slower than the machine of these figures another may be.
 START, SLOWER = 3, 1.4
@@ -103,6 +113,17 @@ def memory(sizes: Sequence[Size]) -> int:
 def asked_memory(sizes: Sequence[Size]) -> int:
     """Memory to ask for, MB: on a cluster, a job has processes of Snakemake as well."""
     return SNAKEMAKE + ceil(1.1 * memory(sizes))
+
+
+def step_takes(step: str, shape: Sequence[int]) -> int:
+    """Memory of a step of the experiment on an image of a shape, MB."""
+    start, slope = STEPS[step]
+    return ceil(start + slope * math.prod(shape) / 1e6)
+
+
+def step_memory(step: str, shape: Sequence[int]) -> int:
+    """Memory to ask for, MB."""
+    return SNAKEMAKE + ceil(1.1 * step_takes(step, shape))
 
 
 def seconds(sizes: Sequence[Size]) -> float:

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from commands import read_samples
-from parts import Size, memory, parts, seconds, size
+from parts import Size, memory, parts, seconds, size, step_takes
 from record import record_part
 
 ROOT = Path(__file__).parents[2]
@@ -32,6 +32,17 @@ RECORD = ROOT / "docs/figures/reliability.json"
 ROWS, HEIGHT, WIDTH = 500, 100, 180
 # Samples whose memory and time are compared, px.
 SHAPES = (128, 128), (256, 256), (512, 512), (1024, 1024), (32, 32, 32), (64, 64, 64)
+# Benchmark files of the experiment and their steps.
+BENCHMARKS = {
+    "true_field": "forward",
+    "background_field": "background",
+    "phantom": "phantom",
+    "track": "track",
+    "estimate/5": "estimate",
+    "preset": "estimate",
+    "stiffness": "stiffness",
+    "figures_ours": "figures",
+}
 # Tests of what must not be lost, and of what may happen to a run.
 TESTED = ["tests/faults", "tests/app/test_faults.py", "tests/app/test_extremes.py"]
 TESTED += ["tests/io/test_hostile.py", "tests/workflow/test_slurm.py"]
@@ -99,6 +110,15 @@ def compare(folder: Path, table: str) -> list[dict[str, float]]:
             sizes = [size(samples[name]) for name in names]
             ratios = memory(sizes) / took.max_rss, seconds(sizes) / took.s
             found.append(dict(zip(("mb", "seconds"), ratios, strict=True)))
+    return found
+
+
+def compare_steps(folder: Path, shape: tuple[int, int]) -> dict[str, float]:
+    """The same, of the memory of steps of the experiment on an image of a shape."""
+    found = {}
+    for name, step in BENCHMARKS.items():
+        took = pd.read_csv(folder / f"benchmarks/{name}.tsv", sep="\t").iloc[-1]
+        found[name] = step_takes(step, shape) / took.max_rss
     return found
 
 
