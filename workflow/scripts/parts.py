@@ -27,7 +27,8 @@ SECONDS = {2: (2.2, 22.0), 3: (3.0, 80.0)}
 SNAKEMAKE = 250
 # Seconds of any row, whatever its size.
 ROW = 2.2
-# MB of the steps of the experiment on an image: of any, and of a million of its pixels.
+# MB of the steps of the experiment on an image: of any, and of a million of its pixels; what
+# figures and stiffness take by the pixel is guessed.
 STEPS = {
     "forward": (160, 33_000),
     "background": (270, 30),
