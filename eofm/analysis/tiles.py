@@ -171,10 +171,10 @@ class Work:
     def __init__(self, folder: Path, plan: Plan, stack: ExitStack) -> None:
         self.folder, self.plan, self.stack = folder, plan, stack
         self.stores: dict[str, io.Store] = {}
-        self.images = [io.open_stored(Path(name)) for name in plan.files]
         for place, (_, mark) in plan.inputs.items():
-            if list(io.mark(Path(place)))[:2] != mark[:2]:
+            if not Path(place).exists() or list(io.mark(Path(place)))[:2] != mark[:2]:
                 raise InputError(f"{place}: changed after eofm coarse; run it again")
+        self.images = [io.open_stored(Path(name)) for name in plan.files]
 
     @classmethod
     def open(cls, folder: Path, stack: ExitStack) -> Self:
@@ -216,10 +216,15 @@ class Work:
         I = self.images[k].read(at)
         return I if least is None else np.log(np.maximum(I, I.dtype.type(least)))
 
+    def dead(self, k: int, window: Window) -> Mask:
+        """Where an image shows the detector."""
+        found: Mask = self.store("dead_0").read((slice(k, k + 1), *window))[0] >= 0.5
+        return found
+
     def read(self, level: int, k: int, window: Window) -> tuple[Array, Mask]:
         """A window of an image of a scale, and where it carries data."""
         if level == 0:
-            return self.plan.greys.read(self.raw, k, window, self.plan.shape)
+            return self.plan.greys.read(self.raw, self.dead, k, window, self.plan.shape)
         at = (slice(k, k + 1), *window)
         I = self.store(f"images_{level}").read(at)[0]
         if not any(self.plan.greys.levels):
@@ -286,6 +291,8 @@ def coarse(pair: Pair, estimation: Estimation, tiling: Tiling, folder: Path) -> 
         limits = estimation.limits
         greys = Greys.of(work.raw, plan.shape, plan.most, estimation.robust, limits)
         work.plan = plan = replace(plan, greys=greys)
+        if any(greys.levels):
+            _mark_dead(work)
         plan.spreads.extend(_copies(work))
         chosen = _solve_coarse(work)
         work.choose(plan.levels - 1, chosen)
@@ -373,6 +380,16 @@ def _least_positive(work: Work) -> float:
     if not math.isfinite(least):
         raise InputError("intensity: log of an image that is zero everywhere")
     return least
+
+
+def _mark_dead(work: Work) -> None:
+    """Write where the images show the detector: once, so that tiles do not differ about it."""
+    plan = work.plan
+    store = work.new("dead_0", (2, *plan.shape))
+    for k in (0, 1):
+        for window in io.windows(plan.shape, plan.most):
+            dead = plan.greys.dead(work.raw, k, window, plan.shape)
+            store.write((slice(k, k + 1), *window), dead[None])
 
 
 def _copies(work: Work) -> list[list[float]]:

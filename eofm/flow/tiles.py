@@ -19,16 +19,15 @@ import numpy as np
 from eofm.errors import InputError
 from eofm.flow.matching import ImagePair, Match
 from eofm.flow.multigrid import multigrid
-from eofm.flow.problem import COARSE, FINEST, ROUGH, Level, Problem, nothing
+from eofm.flow.problem import COARSE, FINEST, ROUGH, Level, Problem, image_pair, nothing
 from eofm.flow.trust import Trust, judge
 from eofm.flow.weight import (
     RIDGE,
     Trial,
-    combined,
     enough,
     first_alpha,
+    folds,
     least_misfit,
-    sample_windows,
 )
 from eofm.grid import Array, Edge, Grid, Mask, faces
 from eofm.imaging.intensity import normalise_locally
@@ -38,6 +37,8 @@ from eofm.imaging.splines import needed, resize_part
 BEYOND = 8
 # Widths of a Gaussian that count.
 FAR = 4
+# Side of the parts on which the weight of a large scale is chosen, and of one that is not, samples.
+PROBE, LARGE = 64, 96
 
 Window = tuple[slice, ...]
 # Images before and after compression, and what is live of them, in a window of each.
@@ -199,8 +200,7 @@ class Scale:
             after.append(slice(first, max(min(last, n), first + min(n, 2 * BEYOND))))
         (I1, live), (I2, live_after) = self._image(0, region), self._image(1, tuple(after))
         offset = tuple(r.start - a.start for r, a in zip(region, after, strict=True))[::-1]
-        mean, robust = settings.gradients == "mean", settings.robust and self.fine
-        return ImagePair(grid, I1, I2, live, live_after, mean, robust, offset=offset)
+        return image_pair(grid, (I1, I2), (live, live_after), settings, self.fine, offset)
 
     def _image(self, k: int, window: Window) -> tuple[Array, Mask]:
         if not self.problem.settings.robust or self.fine:
@@ -237,8 +237,16 @@ def carried(
 
 
 def probes(shape: tuple[int, ...], overlap: int) -> list[Tile]:
-    """Parts of a grid on which weights are chosen: those that the whole would choose them on."""
-    cores = sample_windows(shape)
+    """Parts of a grid on which weights are chosen, in the middles of opposite quarters."""
+
+    def cuts(n: int) -> list[slice]:
+        if n <= LARGE:
+            return [slice(0, n)]
+        starts = (int(np.clip(c - PROBE // 2, 0, n - PROBE)) for c in (n // 4, 3 * n // 4))
+        return [slice(start, start + PROBE) for start in starts]
+
+    sides = [cuts(n) for n in shape]
+    cores = [tuple(side[k % len(side)] for side in sides) for k in range(max(map(len, sides)))]
     return [
         Tile(
             core,
@@ -293,14 +301,18 @@ def choose(
         fields = (level.base[:, *tile.inner], level.prescribed[:, *tile.inner])
         parts.append((inner, *fields, level.free[tile.inner]))
     strength = float(np.mean([part[0].strength for part in parts]))
-    alpha = settings.alpha or combined(chosen)
+    alpha = settings.alpha or (chosen[-1] if chosen else None)
     alpha = alpha or float(np.mean([first_alpha(part[0]) for part in parts]))
     decides = number >= len(scale.problem.grids) - 2 and enough(scale.grid.shape)
     if settings.alpha is None and decides:
-        folds = (0, 2) if len(tiles) == 1 else (0,)
-        trials = [Trial(*part, fold, RIDGE * strength) for part in parts for fold in folds]
-        chosen = *chosen, least_misfit(trials, alpha)
-        alpha = combined(chosen) or alpha
+        held = folds(scale.grid.shape, len(tiles))
+        trials = [
+            Trial(*part, fold, RIDGE * strength, np.ones_like(part[0].r))
+            for part in parts
+            for fold in held
+        ]
+        best, alpha = least_misfit(trials, alpha, chosen)
+        chosen = *chosen, best
     reach = (alpha / (strength + np.finfo(float).tiny)) ** 0.25
     return Choice(alpha, chosen, reach / scale.grid.side)
 
@@ -310,7 +322,7 @@ def _near(level: Level, chosen: tuple[float, ...]) -> Match:
     settings, u = level.problem.settings, level.coarse
     if settings.warps > 1:
         match = level.pair.linearise(u)
-        alpha = settings.alpha or combined(chosen) or first_alpha(match)
+        alpha = settings.alpha or (chosen[-1] if chosen else first_alpha(match))
         about = level.base + level.prescribed
         F = level.functional(match, alpha)
         u = about + multigrid(F, change=ROUGH, initial=u - about)

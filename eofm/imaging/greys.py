@@ -11,22 +11,29 @@ from numpy.typing import NDArray
 from eofm.grid import Array, Mask
 from eofm.imaging.intensity import (
     HIGHLIGHT,
+    IMPULSE,
     LINE,
+    NEIGHBOURHOOD,
     PEAK,
     RARE,
     Levels,
+    bumps,
     defects,
     filled,
+    highlights,
     normalise,
 )
 from eofm.io import windows
 
 # Steps of the grey scale to which quantiles are counted.
 STEPS = 2**16
+# How far pixels decide on each other's being a defect, px.
+REACH = int(4 * NEIGHBOURHOOD)
 
 Window = tuple[slice, ...]
-# Gives a window of the image before (0) or after (1).
+# Gives a window of the image before (0) or after (1), and where it shows the detector.
 Raw = Callable[[int, Window], Array]
+Dead = Callable[[int, Window], Mask]
 
 
 def grown(window: Window, margin: int, shape: tuple[int, ...]) -> tuple[Window, Window]:
@@ -80,30 +87,32 @@ class Greys:
             levels[k] = _levels(partial(_on_scale, raw, scale, k), shape, most)
         found = cls(scale, scale, (levels[0], levels[1]))
         if limits is None and any(levels):
-            live = (found._live(raw, k, w, shape) for k in (0, 1) for w in windows(shape, most))
+            parts = ((k, window) for k in (0, 1) for window in windows(shape, most))
+            live = (raw(k, w)[~found.dead(raw, k, w, shape)] for k, w in parts)
             seen = [(v.min(), v.max()) for v in live if v.size]
             low, high = min(a for a, _ in seen), max(b for _, b in seen)
             limits = float(low), float(high)
         return cls(limits or scale, scale, found.levels)
 
-    def read(self, raw: Raw, k: int, window: Window, shape: tuple[int, ...]) -> tuple[Array, Mask]:
-        """A window of image k, and where it shows the sample."""
+    def dead(self, raw: Raw, k: int, window: Window, shape: tuple[int, ...]) -> Mask:
+        """Pixels of a window of image k that show the detector, from those around it."""
         levels = self.levels[k]
         if levels is None:
+            return np.zeros([w.stop - w.start for w in window], dtype=bool)
+        around, inner = grown(window, REACH, shape)
+        return defects(_scaled(raw(k, around), self.scale), levels)[inner]
+
+    def read(
+        self, raw: Raw, dead: Dead, k: int, window: Window, shape: tuple[int, ...]
+    ) -> tuple[Array, Mask]:
+        """A window of image k, and where it shows the sample, as ``dead`` says."""
+        if self.levels[k] is None:
             I = _scaled(raw(k, window), self.limits)
             return I, np.ones(I.shape, dtype=bool)
         around, inner = grown(window, LINE, shape)
-        I = raw(k, around)
-        dead = defects(_scaled(I, self.scale), levels)
-        I = _scaled(filled(I, dead), self.limits)
-        return np.ascontiguousarray(I[inner]), ~dead[inner]
-
-    def _live(self, raw: Raw, k: int, window: Window, shape: tuple[int, ...]) -> Array:
-        """Intensities in a window that show the sample."""
-        around, inner = grown(window, LINE if self.levels[k] else 0, shape)
-        I, levels = raw(k, around), self.levels[k]
-        dead = defects(_scaled(I, self.scale), levels) if levels else np.zeros(I.shape, bool)
-        return I[inner][~dead[inner]]
+        off = dead(k, around)
+        I = _scaled(filled(raw(k, around), off), self.limits)
+        return np.ascontiguousarray(I[inner]), ~off[inner]
 
     def summary(self) -> dict[str, Any]:
         """Return all of it, for a file."""
@@ -140,33 +149,48 @@ def _levels(read: Callable[[Window], Array], shape: tuple[int, ...], most: int) 
     """Those of an image from 0 to 1, if there are defects in it."""
     from scipy import ndimage
 
-    values, peaks = np.zeros(STEPS + 1, np.int64), np.zeros(STEPS + 1, np.int64)
-    top = 0
+    values, peaks, steep = (np.zeros(STEPS + 1, np.int64) for _ in range(3))
+    size, steepest, saturated = int(np.prod(shape)), 2.0 * len(shape), 0
     for window in windows(shape, most):
         around, inner = grown(window, PEAK // 2, shape)
         I = read(around)
         peak = (ndimage.maximum_filter(I, PEAK) <= I)[inner]
+        steep += _counts(bumps(I)[inner] / steepest)
         I = I[inner]
-        step = (STEPS * I).astype(np.int64)
-        values += np.bincount(step.ravel(), minlength=STEPS + 1)
-        peaks += np.bincount(step[peak], minlength=STEPS + 1)
-        top += int(np.count_nonzero(I == 1))
+        values += _counts(I)
+        peaks += _counts(I[peak])
+        saturated += int(np.count_nonzero(I == 1))
     median = _quantile(values, 0.5)
     peaks[: int(STEPS * median) + 1] = 0
     if not peaks.any():
         return None
-    highlight = HIGHLIGHT * (_quantile(peaks, 0.75) - median)
-    if median + highlight >= 1 and top < LINE:
-        return None
-    highest = 0.0
-    for window in windows(shape, most):
-        above = read(window) - median
-        highest = max(highest, float(np.max(above, where=above <= highlight, initial=0.0)))
-    levels, count = Levels(median, highlight, highest), 0
-    for window in windows(shape, most):
-        around, inner = grown(window, LINE, shape)
-        count += int(np.count_nonzero(levels.marked(read(around))[inner]))
-    return levels if 0 < count < RARE * np.prod(shape) else None
+    highlight, top = HIGHLIGHT * (_quantile(peaks, 0.75) - median), 0.0
+    if median + highlight >= 1 and saturated < LINE:
+        highlight = top = np.inf
+    bump = IMPULSE * steepest * _quantile(steep, 0.75)
+    if not 0 < steep[int(STEPS * bump / steepest) + 1 :].sum() < 2 * RARE * size:
+        bump = np.inf
+    for window in windows(shape, most) if np.isfinite(highlight) else ():
+        around, inner = grown(window, REACH, shape)
+        above = read(around) - median
+        lit = highlights(above, highlight)[inner]
+        top = max(top, float(np.max(above[inner], where=~lit, initial=0.0)))
+    levels, marked, single = Levels(median, highlight, top, bump), 0, 0
+    for window in windows(shape, most) if np.isfinite([highlight, bump]).any() else ():
+        around, inner = grown(window, REACH, shape)
+        I = read(around)
+        marked += int(np.count_nonzero(levels.marked(I)[inner]))
+        single += int(np.count_nonzero(levels.single(I)[inner]))
+    if not 0 < marked < RARE * size:
+        levels = levels._replace(highlight=np.inf, top=np.inf)
+    if not 0 < single < RARE * size:
+        levels = levels._replace(bump=np.inf)
+    return levels if np.isfinite([levels.highlight, levels.bump]).any() else None
+
+
+def _counts(I: Array) -> NDArray[np.int64]:
+    """How many values from 0 to 1 are in each step."""
+    return np.bincount((STEPS * I).astype(np.int64).ravel(), minlength=STEPS + 1)
 
 
 def _quantile(counts: NDArray[np.int64], part: float) -> float:

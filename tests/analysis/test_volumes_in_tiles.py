@@ -150,10 +150,10 @@ def test_two_scales_in_tiles_and_faces_that_are_known(tmp_path, capsys):
     results = tmp_path / "results"
     assert main(["gather", str(work), f"--folder={results}"]) == 0
     found = io.read_field(results / "displacement.tif")
-    np.testing.assert_allclose(found[:, :, 0], np.float32([0.1, 0, 0.2])[:, None, None], atol=1e-5)
+    assert np.abs(found[:, :, 0] - np.reshape([0.1, 0.0, 0.2], (3, 1, 1))).max() < 1e-5
     inner = (slice(None), slice(4, -4), slice(12, -4), slice(4, -4))
     assert np.sqrt(((found - u)[inner] ** 2).mean()) < 0.05
-    (tmp_path / "a.npy").write_bytes((tmp_path / "b.npy").read_bytes()[::-1])
+    np.save(tmp_path / "a.npy", I2)
     assert main(["tile", str(work)]) == 1
     assert "changed after eofm coarse" in capsys.readouterr().err
 
