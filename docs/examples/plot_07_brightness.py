@@ -54,6 +54,6 @@ for k, name in enumerate(settings):
     axes[1, 1].bar(places + 0.27 * (k - 1), errors[:, k], 0.25, label=name)
 axes[1, 1].set(xticks=places, xticklabels=["nothing", "ramp", "gamma"], yscale="log")
 axes[1, 1].set_title("mean error, px")
-axes[1, 1].yaxis.set_major_formatter("{x:g}")
+axes[1, 1].set_yticks([0.03, 0.1, 0.3], ["0.03", "0.1", "0.3"])
 axes[1, 1].yaxis.set_minor_formatter("")
 axes[1, 1].legend(fontsize=7)

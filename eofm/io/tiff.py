@@ -149,11 +149,16 @@ def write_slices(
 
     Parameters
     ----------
+    path : Path
     slices : iterable of ndarray
         Of shape (height, width), with ``labels`` (channels, height, width).
     shape : tuple of int
         That of all of them, (depth, ...). Beyond 4 GB the file is a BigTIFF without what ImageJ
         asks for.
+    labels : list of str, optional
+        What each channel is.
+    sides : sequence, optional
+        Sides of a voxel, um, lateral first.
     """
     check_place(path, "TIFF")
     origin.check_not_read(path)
