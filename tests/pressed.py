@@ -15,7 +15,7 @@ DENSE = Phantom(count=1500, sigma=(1.3, 1.3), noise=0.02, seed=5)
 
 
 @cache
-def pair(stiff=True):
+def pair(stiff=True, seed=DENSE.seed):
     sample = PLAIN.changed(inclusions=(DISC,) if stiff else ())
     u = true_field(sample, Forward(true_cell=2.0))
-    return *make_phantom(u, DENSE)[:2], u
+    return *make_phantom(u, DENSE.changed(seed=seed))[:2], u

@@ -8,14 +8,13 @@ from functools import cached_property
 import numpy as np
 from tqdm import tqdm
 
-from eofm.flow.functional import Pointwise, Quadratic, unit
+from eofm.flow.functional import Quadratic
 from eofm.flow.known import Known
-from eofm.flow.matching import BLOCK, ImagePair, Match, held_out, random_signs
-from eofm.flow.multigrid import multigrid
+from eofm.flow.matching import ImagePair, Match
 from eofm.flow.problem import COARSE, FINEST, Problem, sampled_pairs
 from eofm.flow.start import correlation, match_blocks
 from eofm.flow.trust import Trust, judge
-from eofm.flow.weight import MARGIN, RIDGE, around
+from eofm.flow.uncertainty import Errors
 from eofm.grid import Array, Edge, Grid, componentwise, unit_spacing
 from eofm.imaging.intensity import normalise_locally
 from eofm.imaging.splines import resize_field
@@ -43,6 +42,8 @@ class Estimate:
         Filter of the linearised images, see :meth:`eofm.flow.matching.Match.filtered`.
     functional : Quadratic
         The F that was minimised last.
+    base : ndarray, shape (ndim, ...)
+        The field to which the last scale added what R acts on, in the unit of ``functional``.
     spacing : tuple of float
         Sides of a pixel in the unit of ``functional``, lateral first.
     edges : tuple of str
@@ -54,6 +55,7 @@ class Estimate:
     pair: ImagePair
     denoising: float | None
     functional: Quadratic
+    base: Array
     spacing: tuple[float, ...]
     edges: tuple[Edge, ...] = ()
 
@@ -105,46 +107,20 @@ class Estimate:
             squares += sample**2
         return np.sqrt(squares / samples)
 
-    @cached_property
-    def optimism(self) -> float:
-        """Ratio of the residuals of blocks that are held out to those of the same in use.
-
-        Where few data carry the field, they are fitted by it, and their residuals are smaller
-        than their errors. It is 1 for many data and more for few bubbles; one solve tells it,
-        of the change of the displacement when a quarter of the blocks is left out.
-        """
-        F, match = self.functional, self.match
-        out = held_out(match.grid.shape)
-        left = around(out, MARGIN)
-        b = match.g * np.where(left & match.used, match.r, 0.0)
-        A = F.terms.A * ~left + RIDGE * match.strength * unit(b)
-        change = multigrid(replace(F, terms=Pointwise(A, b)), tol=1e-2)
-        # Blocks at the edges are extrapolated to, which says something else.
-        inner = np.zeros_like(out)
-        inner[tuple(slice(BLOCK, (n - 1) // BLOCK * BLOCK) for n in out.shape)] = True
-        told = out & match.used & inner
-        seen = float((match.r[told] ** 2).sum())
-        missed = float((match.residual(match.u + change)[told] ** 2).sum())
-        return max(1.0, math.sqrt(missed / seen)) if seen > 0 else 1.0
-
     def samples(self, count: int, seed: int = 0) -> Iterator[Array]:
         """Errors of the displacement as they may be, of its shape, px.
 
-        The deviation of a sample of the posterior from its mean minimises F for data and a
-        prior that are noise (Papandreou and Yuille, NIPS 2010). The noise of the data is
-        that of the residuals, with one random sign for each block of pixels (wild cluster
-        bootstrap, Cameron, Gelbach and Miller, Rev. Econ. Stat. 90, 2008): residuals of
-        bubbles are correlated and grow with the gradient, so white noise would promise too
-        much. Both are raised by the ``optimism``. A speckle term on the finest
-        scale (``speckle_scales="all"``) counts as exact.
+        See :class:`eofm.flow.uncertainty.Errors`. A speckle term on the finest scale
+        (``speckle_scales="all"``) counts as exact.
         """
-        rng, F, match = np.random.default_rng(seed), self.functional, self.match
-        r, sigma = self.optimism * match.r, self.optimism * match.noise
+        rng, sides = np.random.default_rng(seed), self._sides
         for _ in range(count):
-            noise = random_signs(match.grid.shape, rng) * match.used * r
-            b = match.g * noise + sigma * F.rough(rng) / match.grid.areas
-            v = multigrid(replace(F, terms=Pointwise(F.terms.A, b)), tol=1e-2)
-            yield resize_field(v, self.u.shape[1:]) / self._sides
+            yield resize_field(self.errors.draw(rng), self.u.shape[1:]) / sides
+
+    @cached_property
+    def errors(self) -> Errors:
+        """What errors are drawn from."""
+        return Errors(self.functional, self.match, self.match.u - self.base)
 
 
 def estimate_displacement(
@@ -215,12 +191,14 @@ def estimate_displacement(
     hidden = None if progress else True
     compared = min(largest_small(problem.grids), len(pairs) - 1 - FINEST)
     for number, pair in enumerate(tqdm(pairs, "scales", disable=hidden)):
-        u, alpha, F, chosen = problem.level(number, pair, u).improve(chosen, progress)
+        level = problem.level(number, pair, u)
+        u, alpha, F, chosen = level.improve(chosen, progress)
         if settings.robust and number == compared:
             u = best_start(problem, number, pairs, u)
     spacing = unit_spacing(known.sides(I1.ndim))
     u = problem.carried(u, I1.shape) / componentwise(spacing, I1.ndim)
-    return Estimate(u, alpha, pair, settings.denoising, F, spacing, tuple(problem.v_edges))
+    edges = tuple(problem.v_edges)
+    return Estimate(u, alpha, pair, settings.denoising, F, level.base, spacing, edges)
 
 
 def largest_small(grids: Sequence[Grid]) -> int:
@@ -234,7 +212,8 @@ def best_start(problem: Problem, number: int, pairs: Sequence[ImagePair], u: Arr
 
     Blocks are matched on a grid that is fine enough for many of them.
     """
-    pair, fine = pairs[number], pairs[largest_small(problem.grids)]
+    # Of a volume in tiles, the finest scales are not there.
+    pair, fine = pairs[number], pairs[min(largest_small(problem.grids), len(pairs) - 1)]
     I1, I2 = (normalise_locally(I, (COARSE,) * I.ndim) - 0.5 for I in (fine.I1, fine.I2))
     matched = match_blocks(I1, I2, fine.grid)
     if matched is None:

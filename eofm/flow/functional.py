@@ -193,11 +193,16 @@ class Quadratic:
             return self._shifted_volume(p)
         b = self.terms.product(p)
         np.subtract(self.terms.b, b, out=b)
-        area, roots = self.grid.areas, smoothness_roots(self.grid, self.smoothness)
-        for target, c in zip(b, p, strict=True):
-            smooth = sum(_apply(P, _apply(P, c), adjoint=True) for P in roots)
-            target -= self.alpha * (smooth / area)
+        b -= self.smoothed(p)
         return replace(self, terms=Pointwise(self.terms.A, b))
+
+    def smoothed(self, v: Array) -> Array:
+        """What ``alpha R`` asks of a field: its density, of the shape of ``terms.b``."""
+        roots, force = smoothness_roots(self.grid, self.smoothness), np.empty_like(v)
+        for target, c in zip(force, v, strict=True):
+            smooth = sum(_apply(P, _apply(P, c), adjoint=True) for P in roots)
+            np.multiply(self.alpha, smooth / self.grid.areas, out=target)
+        return force
 
     def _shifted_volume(self, p: Array) -> "Quadratic":
         # The same for a volume, where sparse matrices would take ten times as long.

@@ -1,15 +1,16 @@
 """How well a displacement carries one image onto the other, to first order."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from eofm.flow.functional import Pointwise, data_term
-from eofm.grid import Array, Grid, Mask, precision
+from eofm.grid import Array, Grid, Mask, componentwise, precision
 from eofm.imaging.gaussian import blur
 from eofm.imaging.intensity import Window
-from eofm.imaging.splines import Spline, gradient
+from eofm.imaging.splines import Spline
 
 # Side of the blocks of pixels that are held out together, and whose residuals are taken to
 # be correlated, px: the size of a bubble and more.
@@ -25,6 +26,8 @@ NEIGHBOURS = np.s_[:-1], np.s_[1:]
 BRIGHTNESS, NOISE = 12.0, 6.0
 # Least local contrast and variance, as a part of the image's: black is not to be raised.
 LEAST_CONTRAST, LEAST_VARIANCE = 0.02, 0.2
+# Least part of a gradient that both images are taken to share.
+LEAST_SHARE = 0.05
 # Squared residuals count among a local variance up to so many of it, and are outliers from there.
 CLIPPED, OUTLIER = 9.0, 20.0
 
@@ -68,8 +71,11 @@ class Match:
         local = around.mean(r2)
         for _ in range(2):
             local = around.mean(np.minimum(r2, CLIPPED * local))
-        least = LEAST_VARIANCE * local[self.used].mean() + TINY
-        constant, slope = _variances(local[self.used], contrast[self.used] ** 2, least)
+        # Both are smooth: some of the pixels tell.
+        told = np.flatnonzero(self.used)[:: int(NOISE)]
+        variances, squares = local.ravel()[told], contrast.ravel()[told] ** 2
+        least = LEAST_VARIANCE * variances.mean() + TINY
+        constant, slope = _variances(variances, squares, least)
         w = 1 / (constant + slope * contrast**2 + least)
         w /= 1 + (r2 / (OUTLIER * (local + least))) ** 2
         w /= w[self.used].mean()
@@ -101,11 +107,31 @@ class Match:
         width = WHITE * self.whiteness if width is None else width
         if width < SHARP:
             return self
-        mask = self.used.astype(self.r.dtype)
-        share = np.maximum(blur(mask, width), 1e-6)
-        g, r = np.empty_like(self.g), np.empty_like(self.r)
-        for f, smooth in zip((*self.g, self.r), (*g, r), strict=True):
-            np.divide(blur(f * mask, width), share, out=smooth)
+        g, r = _smooth((self.g, self.r[None]), self.used, width)
+        return replace(self, g=g, r=r[0])
+
+    def shared(self, g1: Array, width: float | None) -> "Match":
+        """Return the same, filtered, with the gradient that both images are expected to have.
+
+        The product of the noise of a warped image and of its gradient has a mean, for the
+        noise that a spline lets through depends on where between the pixels it is taken.
+        That would pull motions; as far as noise is white, g is the gradient of I1 alone,
+        ``g1``, else the mean ``g``. It is then multiplied by the part of its square that
+        gradients of both images have in common around a pixel, as in a regression whose
+        regressors are uncertain (Carroll and others, Measurement Error in Nonlinear Models,
+        2006, ch. 4): noise is no structure, and would promise a motion that is known better.
+        """
+        white, g, g2 = self.whiteness, g1, 2 * self.g
+        g2 -= g1
+        r, width = self.r, WHITE * white if width is None else width
+        if width >= SHARP:
+            g, g2, (r,) = _smooth((g1, g2, r[None]), self.used, width)
+        around = Window(self.used, NOISE)
+        common = around.mean(_dot(g, g2))
+        g = 0.5 * ((1 + white) * g + (1 - white) * g2)
+        own = around.mean(_dot(g, g))
+        common /= own + LEAST_VARIANCE * LEAST_SHARE * own.mean() + TINY
+        g *= np.clip(common, LEAST_SHARE, 1, out=common)
         return replace(self, g=g, r=r)
 
     @cached_property
@@ -155,6 +181,11 @@ class ImagePair:
     robust : bool
         Whether I1 is given the local brightness and contrast of the warped I2, and residuals
         are weighed.
+    straight : bool
+        Whether images go on beyond their edges as they are, see :class:`Spline`, where a mirror
+        would level them: that alone is half of the error at the edges of clean images.
+    offset : tuple of int, optional
+        Where the grid begins in I2, samples, lateral first, if that shows more than the grid.
     """
 
     grid: Grid
@@ -164,39 +195,35 @@ class ImagePair:
     live_after: Mask
     mean: bool
     robust: bool = False
+    straight: bool = False
+    offset: tuple[int, ...] = ()
 
     def linearise(self, u: Array) -> Match:
         """Return the images linearised about a displacement."""
         return self._linearise(u)[0]
 
     def linearise_near(self, u: Array, denoising: float | None) -> Match:
-        """Return the same about a field whose residual is noise: filtered and weighed.
-
-        The product of the noise of a warped image and of its gradient has a mean, for the
-        noise that a spline lets through depends on where between the pixels it is taken.
-        That would pull motions; as far as noise is white, g is the gradient of I1 alone.
-        """
-        match, g, contrast = self._linearise(u)
+        """Return the same about a field whose residual is noise: filtered and weighed."""
+        match, g1, contrast = self._linearise(u)
         if not self.robust:
             return match.filtered(denoising)
-        if self.mean and (white := match.whiteness):
-            mixed = np.multiply(match.g, 1 - white, out=match.g)
-            g *= white
-            mixed += g
-            match = replace(match, g=mixed)
-        return match.filtered(denoising).weighed(contrast)
+        shared = match.shared(g1, denoising) if self.mean else match.filtered(denoising)
+        return shared.weighed(contrast)
 
     def _linearise(self, u: Array) -> tuple[Match, Array, Array]:
         """Images linearised about a displacement, the gradient of I1, and local contrast."""
-        samples = self.grid.samples(u)
+        samples, after = self.grid.samples(u), Spline(self.I2, self.straight)
+        if any(self.offset):
+            samples = samples + componentwise(self.offset, self.grid.ndim)
         if self.mean:
-            warped, g, inside = Spline(self.I2).warp_with_gradient(samples, self.grid.spacing)
+            warped, g, inside = after.warp_with_gradient(samples, self.grid.spacing)
         else:
-            warped, inside = Spline(self.I2).warp(samples)
+            warped, inside = after.warp(samples)
+        del after
         used = inside & self.live
         if not self.live_after.all():
             used &= Spline(self.live_after.astype(u.dtype)).warp(samples)[0] > LIVE
-        g1 = gradient(self.I1, self.grid.spacing)
+        g1 = Spline(self.I1, self.straight).gradient(self.grid.spacing)
         I1, contrast = self.I1, np.ones((), u.dtype)
         if self.robust and used.any():
             gain, offset, contrast = brightness(I1, warped, used)
@@ -220,13 +247,28 @@ def brightness(I1: Array, warped: Array, used: Mask) -> tuple[Array, Array, Arra
     around = Window(used, BRIGHTNESS)
 
     def moments(I: Array) -> tuple[Array, Array]:
-        mean = around.mean(I)
-        least = LEAST_CONTRAST * I[used].std()
-        return mean, np.sqrt(np.maximum(around.mean(I**2) - mean**2, 0) + least**2 + TINY)
+        mean, contrast = around.mean(I), around.mean(I, I)
+        contrast -= mean**2
+        np.maximum(contrast, 0, out=contrast)
+        contrast += (LEAST_CONTRAST * np.std(I, where=used)) ** 2 + TINY
+        return mean, np.sqrt(contrast, out=contrast)
 
-    (mean1, contrast1), (mean2, contrast2) = moments(I1), moments(warped)
-    gain = contrast2 / contrast1
-    return gain, mean2 - gain * mean1, contrast2
+    (mean1, gain), (mean2, contrast) = moments(I1), moments(warped)
+    np.divide(contrast, gain, out=gain)
+    mean1 *= gain
+    return gain, np.subtract(mean2, mean1, out=mean2), contrast
+
+
+def _smooth(fields: Sequence[Array], used: Mask, width: float) -> list[Array]:
+    """Gaussian averages over the pixels that are used, of stacks of fields."""
+    mask = used.astype(fields[0].dtype)
+    share = np.maximum(blur(mask, width), 1e-6)
+    return [np.stack([blur(f * mask, width) / share for f in stack]) for stack in fields]
+
+
+def _dot(f: Array, g: Array) -> Array:
+    """Product of vectors at each pixel."""
+    return np.einsum("c...,c...->...", f, g)
 
 
 def _variances(variance: Array, squares: Array, least: float) -> tuple[float, float]:

@@ -122,17 +122,29 @@ def _add_cubes(first, last, sums, f, mask, side):
                 sums[p, q, r] = line[r * side : r * side + side].sum()
 
 
+@compiled
+def _add_squares(first, last, sums, f, mask, side):
+    line = np.empty(f.shape[1], f.dtype)
+    for p in range(first, last):
+        line[:] = 0
+        for i in range(p * side, min(p * side + side, f.shape[0])):
+            row, used = f[i], mask[i]
+            for j in range(line.size):
+                line[j] += row[j] * used[j]
+        for r in range(sums.shape[1]):
+            total = 0.0
+            for j in range(r * side, min(r * side + side, line.size)):
+                total += line[j]
+            sums[p, r] = total
+
+
 def add_squares(sums: Array, f: Array, mask: Mask, side: int) -> None:
     """Write to sums those of the pixels of a mask in squares, or cubes, of a side."""
     if side == 1:
         np.multiply(f, mask, out=sums)
-    elif f.ndim == 3:
-        share(_add_cubes, len(sums), f.size, sums, *map(np.ascontiguousarray, (f, mask)), side)
     else:
-        f = f * mask
-        for axis, n in enumerate(f.shape):
-            f = np.add.reduceat(f, np.arange(0, n, side), axis=axis)
-        sums[:] = f
+        kernel = _add_squares if f.ndim == 2 else _add_cubes
+        share(kernel, len(sums), f.size, sums, *map(np.ascontiguousarray, (f, mask)), side)
 
 
 @compiled
