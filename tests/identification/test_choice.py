@@ -9,7 +9,8 @@ from eofm.identification import stiffness
 from eofm.identification.choice import Choice, Prior, clearly_better, strongest
 from eofm.identification.folds import COUNT, Folds
 from eofm.identification.stiffness import identify_stiffness
-from eofm.settings import Phantom
+from eofm.identification.uncertainty import deviations
+from eofm.settings import Identification, Phantom
 from eofm.simulation.phantom import make_phantom
 
 
@@ -51,6 +52,42 @@ def test_of_equals_the_strongest_is_taken():
     assert strongest([worse, equal, weak], 2.0) is equal
     assert strongest([worse, weak], 2.0) is weak
     assert clearly_better(weak.losses, worse.losses, 2.0)
+
+
+def test_one_bubble_far_from_all_others_does_not_decide():
+    """It is lost to the first, which is better for all others."""
+    losses = np.full(80, 6.0)
+    first, second = losses - 2, losses
+    first[0] = 1e4
+    assert first.mean() > second.mean()
+    chosen = [Choice(Prior(g), [], f) for g, f in ((1.0, second), (0.3, first))]
+    assert strongest(chosen, 0.5).prior.gamma == 0.3
+
+
+def test_priors_that_are_not_ruled_out_are_rivals():
+    I1, I2, _ = pair()
+    found = identify_stiffness(I1, I2, PLAIN)
+    assert len(found.choice.rivals) < 8
+    z = found.choice.z[0]
+    assert all(not np.array_equal(rival[0], z) for rival in found.choice.rivals)
+
+
+def test_a_contrast_within_its_error_bars_is_refused():
+    """The same images: refused only where more is asked of its error bars."""
+    I1, I2, _ = pair()
+    found = identify_stiffness(I1, I2, PLAIN)
+    assert not found.refused
+    clear = found.clarity
+    vague = identify_stiffness(I1, I2, PLAIN, Identification(clarity=1.1 * clear))
+    assert "error bars" in vague.refused
+    assert not vague.alone
+    assert np.isnan(vague.E).all()
+    assert np.isnan(deviations(vague, samples=2)[1]).all()
+    assert np.isfinite(deviations(vague, samples=2)[0]).all()
+    assert "displacement is that of the identified sample" in vague.summary()
+    lost = identify_stiffness(I1, I2, PLAIN, Identification(clarity=2 * clear))
+    assert lost.alone
+    assert "displacement is the preset's" in lost.summary()
 
 
 def test_what_predicts_worse_than_the_preset_is_refused(monkeypatch):

@@ -92,7 +92,8 @@ def main() -> None:
     verdict = "refused" if found.refused else "found" if found.contrast else "none"
     within = np.abs(np.log(found.E / E)) <= deviation_E
     row |= {
-        "dice": overlap(found.E, E),
+        # A refusal is no wrong outline; the verdict counts it.
+        "dice": np.nan if found.refused else overlap(found.E, E),
         "modulus_error": np.exp(np.median(np.abs(np.log(found.E / E)[E != 1]))) - 1
         if (E != 1).any()
         else np.nan,
