@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from eofm.flow.functional import Pointwise, data_term
-from eofm.grid import Array, Grid, Mask, precision
+from eofm.grid import Array, Grid, Mask, componentwise, precision
 from eofm.imaging.gaussian import blur
 from eofm.imaging.intensity import Window
 from eofm.imaging.splines import Spline
@@ -187,6 +187,8 @@ class ImagePair:
     straight : bool
         Whether images go on beyond their edges as they are, see :class:`Spline`, where a mirror
         would level them: that alone is half of the error at the edges of clean images.
+    offset : tuple of int, optional
+        Where the grid begins in I2, samples, lateral first, if that shows more than the grid.
     """
 
     grid: Grid
@@ -197,6 +199,7 @@ class ImagePair:
     mean: bool
     robust: bool = False
     straight: bool = False
+    offset: tuple[int, ...] = ()
 
     def linearise(self, u: Array) -> Match:
         """Return the images linearised about a displacement."""
@@ -213,6 +216,8 @@ class ImagePair:
     def _linearise(self, u: Array) -> tuple[Match, Array, Array]:
         """Images linearised about a displacement, the gradient of I1, and local contrast."""
         samples, after = self.grid.samples(u), Spline(self.I2, self.straight)
+        if any(self.offset):
+            samples = samples + componentwise(self.offset, self.grid.ndim)
         if self.mean:
             warped, g, inside = after.warp_with_gradient(samples, self.grid.spacing)
         else:
