@@ -17,6 +17,8 @@ from eofm.imaging.splines import Spline
 BLOCK = 8
 # Width of the filter of white noise, and below which there is none, samples.
 WHITE, SHARP = 0.6, 0.2
+# Whiteness of noise that is white, but for what a spline between pixels makes of it.
+ALL_WHITE = 0.8
 # Share of data at a place between pixels that carry data and others.
 LIVE = 0.9
 TINY = float(np.finfo(np.float32).tiny)
@@ -128,7 +130,8 @@ class Match:
             g, g2, (r,) = _smooth((g1, g2, r[None]), self.used, width)
         around = Window(self.used, NOISE)
         common = around.mean(_dot(g, g2))
-        g = 0.5 * ((1 + white) * g + (1 - white) * g2)
+        alone = min(1.0, white / ALL_WHITE)
+        g = 0.5 * ((1 + alone) * g + (1 - alone) * g2)
         own = around.mean(_dot(g, g))
         common /= own + LEAST_VARIANCE * LEAST_SHARE * own.mean() + TINY
         g *= np.clip(common, LEAST_SHARE, 1, out=common)

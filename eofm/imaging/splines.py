@@ -29,8 +29,8 @@ class Spline:
     I : ndarray, shape (height, width) or (depth, height, width)
     odd : bool
         How it goes on beyond the edges: as in a mirror, or turned by half a turn about the
-        edge, ``I(-x) = 2 I(0) - I(x)``. The mirror suits images. It would bend a component
-        of a displacement, which has a slope at the edges.
+        edge, ``I(-x) = 2 I(0) - I(x)``. A mirror levels what has a slope at the edges, as
+        displacements do, and images.
     """
 
     def __init__(self, I: Array, odd: bool = False) -> None:
