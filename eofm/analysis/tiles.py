@@ -31,7 +31,6 @@ from eofm.analysis.summary import check_measures
 from eofm.errors import InputError
 from eofm.flow.estimate import best_start, largest_small
 from eofm.flow.known import Known
-from eofm.flow.matching import Overall
 from eofm.flow.problem import FINEST, Problem, nothing
 from eofm.flow.tiles import (
     Choice,
@@ -461,8 +460,8 @@ def tile(folder: Path, level: int, number: int) -> None:
         if number >= len(tiles):
             raise InputError(f"number: there are tiles 0 to {len(tiles) - 1} on level {level}")
         choice, part = read_choice(folder, level), tiles[number]
-        scale = replace(work.scale(level), overall=Overall(choice.overall))
-        u, trust = solve(scale, part, work.start(level, part.region), choice.alpha)
+        start = work.start(level, part.region)
+        u, trust = solve(work.scale(level), part, start, choice)
         if level == 0:
             seen = np.full((1, *u.shape[1:]), np.nan, np.float32)
             seen[0][part.inner] = trust.map
@@ -487,7 +486,7 @@ def read_choice(folder: Path, level: int) -> Choice:
         )
     said = json.loads(path.read_text())
     overall = {name: tuple(values) for name, values in said["overall"].items()}
-    return Choice(said["alpha"], tuple(said["chosen"]), said["reach"], overall)
+    return Choice(**said | {"chosen": tuple(said["chosen"]), "overall": overall})
 
 
 def _next(plan: Plan, level: int) -> str:

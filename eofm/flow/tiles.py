@@ -260,7 +260,8 @@ class Choice(NamedTuple):
 
     Attributes
     ----------
-    alpha : float
+    first, alpha : float
+        Of the first solve of the scale, and of the others.
     chosen : tuple of float
         The weights that scales have chosen up to this one.
     reach : float
@@ -269,6 +270,7 @@ class Choice(NamedTuple):
         Numbers of the whole images, see :class:`eofm.flow.matching.Overall`.
     """
 
+    first: float
     alpha: float
     chosen: tuple[float, ...]
     reach: float
@@ -297,15 +299,15 @@ def choose(
     found = []
     for tile in tiles:
         level = scale.level(tile.region, starts(tile.region))
-        found.append((level, _near(level, chosen)))
+        found.append((level, _near(level, combined(chosen))))
     matches, overall = _alike(found, settings.denoising)
     parts = []
     for tile, (level, _), match in zip(tiles, found, matches, strict=True):
         fields = (level.base[:, *tile.inner], level.prescribed[:, *tile.inner])
         parts.append((_part(match, tile.inner), *fields, level.free[tile.inner]))
     strength = float(np.mean([part[0].strength for part in parts]))
-    alpha = settings.alpha or combined(chosen)
-    alpha = alpha or float(np.mean([first_alpha(part[0]) for part in parts]))
+    first = settings.alpha or combined(chosen)
+    alpha = first = first or float(np.mean([first_alpha(part[0]) for part in parts]))
     decides = number >= len(scale.problem.grids) - 2 and enough(scale.grid.shape)
     if settings.alpha is None and decides:
         held = folds(scale.grid.shape, len(tiles))
@@ -313,15 +315,15 @@ def choose(
         chosen = *chosen, least_misfit(trials, alpha)
         alpha = combined(chosen) or alpha
     reach = (alpha / (strength + np.finfo(float).tiny)) ** 0.25
-    return Choice(alpha, chosen, float(reach) / scale.grid.side, overall)
+    return Choice(first, alpha, chosen, float(reach) / scale.grid.side, overall)
 
 
-def _near(level: Level, chosen: tuple[float, ...]) -> Array:
-    """A field whose residual is noise."""
+def _near(level: Level, alpha: float | None) -> Array:
+    """A field whose residual is noise: what the first solve of a scale gives."""
     settings, u = level.problem.settings, level.coarse
     if settings.warps > 1:
         match = level.pair.linearise(u)
-        alpha = settings.alpha or combined(chosen) or first_alpha(match)
+        alpha = settings.alpha or alpha or first_alpha(match)
         about = level.base + level.prescribed
         F = level.functional(match, alpha)
         u = about + multigrid(F, change=ROUGH, initial=u - about)
@@ -360,10 +362,15 @@ def _part(match: Match, window: Window) -> Match:
     return Match(grid, u, g, r, used)
 
 
-def solve(scale: Scale, tile: Tile, start: Array, alpha: float) -> tuple[Array, Trust]:
+def solve(scale: Scale, tile: Tile, start: Array, choice: Choice) -> tuple[Array, Trust]:
     """The field on the region of a tile, in true lengths, and what the images say of its core."""
-    level = scale.level(tile.region, start)
-    u = level.improve((alpha,), False).u
+    level = replace(scale, overall=Overall(choice.overall)).level(tile.region, start)
+    u = _near(level, choice.first)
+    # One solve is done.
+    settings = level.problem.settings
+    settings = settings.changed(warps=max(1, settings.warps - 1))
+    rest = replace(level, problem=replace(level.problem, settings=settings), coarse=u)
+    u = rest.improve((choice.alpha,), False).u
     pair = replace(level.pair, robust=False)
     match, inner = pair.linearise(u), tile.inner
     I1, used = pair.I1[inner], match.used[inner]
