@@ -417,7 +417,8 @@ class Estimation(Section):
     robust: bool = Field(
         True,
         description="whether to fit changes of brightness and contrast, to weigh residuals by"
-        " their noise, to leave out highlights and saturated lines, and to search far away",
+        " their noise, to leave out highlights, saturated lines and impulses, and to search far"
+        " away",
     )
 
     @model_validator(mode="before")
@@ -475,6 +476,11 @@ class Identification(Section):
     )
     worse: float = Field(
         1.0, ge=0, description="the same, by which the preset is better where E is refused"
+    )
+    clarity: float = Field(
+        1.7,
+        ge=0,
+        description="contrast of log E relative to its error bars below which it is refused",
     )
     epsilon: Positive = Field(0.02, description="gradient of log E that counts as an edge, 1/px")
     iterations: int = Field(30, ge=1, le=1000, description="largest number of Gauss-Newton steps")

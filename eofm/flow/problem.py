@@ -12,7 +12,7 @@ from eofm.flow.known import Known
 from eofm.flow.matching import ImagePair, Match, Overall
 from eofm.flow.multigrid import multigrid
 from eofm.flow.pyramid import pyramid, sampled, solving
-from eofm.flow.weight import choose_alpha, combined, enough, first_alpha
+from eofm.flow.weight import choose_alpha, enough, first_alpha
 from eofm.grid import (
     FACES,
     Array,
@@ -181,11 +181,12 @@ class Level:
         for warp in range(settings.warps):
             del F  # what is not needed any more makes room: of volumes it is the half
             match = self._linearised(u, self.still and warp == 0, warp >= near)
-            alpha = settings.alpha or combined(chosen) or first_alpha(match)
+            alpha = settings.alpha or (chosen[-1] if chosen else first_alpha(match))
             if self.decides and warp == near:
-                trial = choose_alpha(match, self.base, self.prescribed, self.free, alpha)
-                chosen = *chosen, trial
-                alpha = combined(chosen) or trial
+                best, alpha = choose_alpha(
+                    match, self.base, self.prescribed, self.free, alpha, chosen
+                )
+                chosen = *chosen, best
             F = self.functional(match, alpha)
             del match
             last = warp == settings.warps - 1 and (

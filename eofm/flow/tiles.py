@@ -24,12 +24,10 @@ from eofm.flow.trust import Trust, judge
 from eofm.flow.weight import (
     RIDGE,
     Trial,
-    combined,
     enough,
     first_alpha,
     folds,
     least_misfit,
-    sample_windows,
 )
 from eofm.grid import Array, Edge, Grid, Mask, faces
 from eofm.imaging.intensity import normalise_locally
@@ -39,6 +37,8 @@ from eofm.imaging.splines import needed, resize_part
 BEYOND = 8
 # Widths of a Gaussian that count.
 FAR = 4
+# Side of the parts on which the weight of a large scale is chosen, and of one that is not, samples.
+PROBE, LARGE = 64, 96
 
 Window = tuple[slice, ...]
 # Images before and after compression, and what is live of them, in a window of each.
@@ -241,8 +241,16 @@ def carried(
 
 
 def probes(shape: tuple[int, ...], overlap: int) -> list[Tile]:
-    """Parts of a grid on which weights are chosen: those that the whole would choose them on."""
-    cores = sample_windows(shape)
+    """Parts of a grid on which weights are chosen, in the middles of opposite quarters."""
+
+    def cuts(n: int) -> list[slice]:
+        if n <= LARGE:
+            return [slice(0, n)]
+        starts = (int(np.clip(c - PROBE // 2, 0, n - PROBE)) for c in (n // 4, 3 * n // 4))
+        return [slice(start, start + PROBE) for start in starts]
+
+    sides = [cuts(n) for n in shape]
+    cores = [tuple(side[k % len(side)] for side in sides) for k in range(max(map(len, sides)))]
     return [
         Tile(
             core,
@@ -299,21 +307,26 @@ def choose(
     found = []
     for tile in tiles:
         level = scale.level(tile.region, starts(tile.region))
-        found.append((level, _near(level, combined(chosen))))
+        found.append((level, _near(level, chosen[-1] if chosen else None)))
     matches, overall = _alike(found, settings.denoising)
     parts = []
     for tile, (level, _), match in zip(tiles, found, matches, strict=True):
         fields = (level.base[:, *tile.inner], level.prescribed[:, *tile.inner])
         parts.append((_part(match, tile.inner), *fields, level.free[tile.inner]))
     strength = float(np.mean([part[0].strength for part in parts]))
-    first = settings.alpha or combined(chosen)
-    alpha = first = first or float(np.mean([first_alpha(part[0]) for part in parts]))
+    last = chosen[-1] if chosen else None
+    first = settings.alpha or last or float(np.mean([first_alpha(part[0]) for part in parts]))
+    alpha = first
     decides = number >= len(scale.problem.grids) - 2 and enough(scale.grid.shape)
     if settings.alpha is None and decides:
         held = folds(scale.grid.shape, len(tiles))
-        trials = [Trial(*part, fold, RIDGE * strength) for part in parts for fold in held]
-        chosen = *chosen, least_misfit(trials, alpha)
-        alpha = combined(chosen) or alpha
+        trials = [
+            Trial(*part, fold, RIDGE * strength, np.ones_like(part[0].r))
+            for part in parts
+            for fold in held
+        ]
+        best, alpha = least_misfit(trials, alpha, chosen)
+        chosen = *chosen, best
     reach = (alpha / (strength + np.finfo(float).tiny)) ** 0.25
     return Choice(first, alpha, chosen, float(reach) / scale.grid.side, overall)
 

@@ -8,6 +8,7 @@ for dense speckle, where they are noise.
 
 import math
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -24,18 +25,30 @@ REACH = 8.0
 # Ratio of two weights that are compared: the minimum is flat; and how far they go from the
 # first, in such steps.
 STEP, FARTHEST = 3.0, 6
+# A misfit as large as that of a motion which is off by so many samples may be a motion that was
+# lost; by how many steps less it is looked for, and the part of the misfit that tells.
+LOST, PROBES, TELLS = 0.25, (4, 8, 12), 0.9
+# Misfit, as a part of the least, up to which a weight that other scales ask for is as good.
+EQUAL = 1.1
 # Fewer blocks than these do not tell weights apart; where there are fewer than MANY, all are held
 # out by turns.
 BLOCKS, MANY = 20, 256
 # Pixels around a held-out block that are not used either: the noise of images that were
 # filtered is correlated, and would be fitted on both sides of the border.
 MARGIN = 2
-# Side of the windows that stand for a large image, or a volume, and for one larger than what, px.
-WINDOW = {2: (192, 384), 3: (64, 96)}
+# Side of the windows that stand for a large image, or a volume, and for one larger than what, px;
+# and how many there are.
+WINDOW, WINDOWS = {2: (120, 384), 3: (48, 96)}, 5
+# Pixels at its sides that only the field is given: a window ends where the image goes on, and the
+# field is worse there than in the image, which would make weights too small.
+INNER = 2 * BLOCK
+# Part of the windows that goes by the data alone, not by the roughness of the motion.
+EVEN = 0.5
 # Change of v by the last iteration of a trial solve, px.
 ACCURACY = 1e-2
 # Part of the image's mean data term that is added to all: a window may be black.
 RIDGE = 1e-9
+TINY = float(np.finfo(np.float32).tiny)
 
 
 def first_alpha(match: Match) -> float:
@@ -45,16 +58,6 @@ def first_alpha(match: Match) -> float:
     """
     reach = REACH * match.grid.side
     return (match.strength + np.finfo(float).tiny) * reach**4
-
-
-def combined(chosen: Sequence[float]) -> float | None:
-    """Weight for which scales ask that have chosen some, from coarse to fine; None without any.
-
-    That of the finest is taken or, where another is larger, their geometric mean: residuals that
-    are correlated, as those of decorrelated speckle are, make cross-validation choose too
-    little smoothing (Opsomer, Wang and Yang, Stat. Sci. 16, 2001), least so on coarser scales.
-    """
-    return float(np.sqrt(chosen[-1] * max(chosen))) if chosen else None
 
 
 def enough(shape: tuple[int, ...]) -> bool:
@@ -68,13 +71,19 @@ def choose_alpha(
     prescribed: Array,
     free: NDArray[np.bool_],
     start: float,
-) -> float:
-    """Weight of the bending energy with the least misfit on held-out blocks.
+    before: Sequence[float] = (),
+) -> tuple[float, float]:
+    """Weight of the bending energy with the least misfit on held-out blocks, and that to use.
 
     Goes downhill from ``start`` in factors of 3, then to the vertex of the parabola through
     the three best in log alpha: four or five solves for each of two quarters that are held
     out. Of large images, one quarter of some windows does, so that this takes the same time
-    for all; of small ones all quarters are held out.
+    for all; of small ones all quarters are held out. Windows lie where motion is rough and
+    where it is smooth, and count as what they stand for, see `drawn`.
+
+    Motion that varies within a few structures of the image has two minima: large weights
+    smooth it away, those between follow some of it wrongly, and small ones find it. So
+    the first scale to choose looks for another one far below, where much is left unexplained.
 
     Parameters
     ----------
@@ -84,34 +93,54 @@ def choose_alpha(
     free : ndarray of bool
     start : float
         First weight tried.
+    before : sequence of float
+        Weights that coarser scales have chosen. Residuals that are correlated, as those of
+        decorrelated speckle are, make cross-validation choose too little smoothing (Opsomer,
+        Wang and Yang, Stat. Sci. 16, 2001), least so on coarser scales. Where one of them is
+        larger, its geometric mean with that of this scale is used, as far as the misfit allows.
     """
-    windows = sample_windows(match.grid.shape)
+    windows = _windows(match)
     ridge = RIDGE * match.strength
     trials = [
-        Trial(_cut(match, w), about[:, *w], prescribed[:, *w], free[w], fold, ridge)
-        for w in windows
+        Trial(_cut(match, w), about[:, *w], prescribed[:, *w], free[w], fold, ridge, inner)
+        for w, inner in windows
         for fold in folds(match.grid.shape, len(windows))
     ]
-    return least_misfit(trials, start)
+    return least_misfit(trials, start, before)
 
 
-def least_misfit(trials: "Sequence[Trial]", start: float) -> float:
-    """The weight with the least sum of the misfits of some trials."""
-    misfits: dict[int, float] = {}
+def least_misfit(
+    trials: "Sequence[Trial]", start: float, before: Sequence[float] = ()
+) -> tuple[float, float]:
+    """The weight with the least sum of the misfits of some trials, and that to use."""
 
+    @cache
     def misfit(k: int) -> float:
-        if k not in misfits:
-            near = abs(k) <= FARTHEST
-            misfits[k] = sum(t.misfit(start * STEP**k) for t in trials) if near else np.inf
-        return misfits[k]
+        return sum(t.misfit(start * STEP**k) for t in trials)
 
-    k = 0
-    while (better := min((k - 1, k + 1), key=misfit)) and misfit(better) < misfit(k):
-        k = better
+    def downhill(first: int) -> int:
+        k = first
+        while (better := min((k - 1, k + 1), key=misfit)) and misfit(better) < misfit(k):
+            if abs(better - first) > FARTHEST:
+                break
+            k = better
+        return k
+
+    k = downhill(0)
+    squares = sum(float((t.counts * (t.match.g**2).sum(0)).sum()) for t in trials)
+    if not before and misfit(k) > (LOST * trials[0].match.grid.side) ** 2 * squares:
+        low = min((k - far for far in PROBES), key=misfit)
+        if misfit(low) < TELLS * misfit(k):
+            k = downhill(low)
     left, middle, right = (misfit(j) for j in (k - 1, k, k + 1))
     curvature = left - 2 * middle + right
-    shift = 0.5 * (left - right) / curvature if 0 < curvature < np.inf else 0.0
-    return float(np.clip(start * STEP ** (k + shift), *ALPHA))
+    shift = 0.5 * (left - right) / curvature if curvature > 0 else 0.0
+    best = float(np.clip(start * STEP ** (k + np.clip(shift, -1, 1)), *ALPHA))
+    asked = float(np.sqrt(best * max(best, *before))) if before else best
+    most = k
+    while start * STEP**most < asked and misfit(most + 1) <= EQUAL * misfit(k):
+        most += 1
+    return best, max(best, min(asked, start * STEP**most))
 
 
 class Trial:
@@ -125,20 +154,21 @@ class Trial:
         free: NDArray[np.bool_],
         fold: int,
         ridge: float,
+        counts: Array,
     ) -> None:
         self.match, self.about, self.free = match, about, free
         out = held_out(match.grid.shape, fold)
-        self.out = out & match.used
+        self.counts = counts * (out & match.used)
         terms = match.density(about, ~around(out, MARGIN))
         self.terms = Pointwise(terms.A + ridge * unit(terms.b), terms.b)
         self.prescribed, self.v = prescribed, np.zeros_like(about)
 
     def misfit(self, alpha: float) -> float:
-        """Sum of the squared residual on the pixels that are held out."""
+        """Sum of the squared residual on the pixels that are held out, as often as each counts."""
         F = Quadratic(self.match.grid, self.terms, alpha, self.free, "bending")
         self.v = multigrid(F.shifted(self.prescribed), change=ACCURACY, initial=self.v)
         r = self.match.residual(self.about + self.prescribed + self.v)
-        return float(np.sum(r[self.out] ** 2))
+        return float(np.sum(self.counts * r**2))
 
 
 def around(mask: Mask, margin: int) -> Mask:
@@ -157,19 +187,96 @@ def folds(shape: tuple[int, ...], windows: int) -> tuple[int, ...]:
     return (0, 2) if windows == 1 else (0,)
 
 
-def sample_windows(shape: tuple[int, ...]) -> list[tuple[slice, ...]]:
-    """The image or, where it is large, windows in the middles of opposite quarters or halves."""
-    width, large = WINDOW[len(shape)]
+def _windows(match: Match) -> list[tuple[tuple[slice, ...], Array]]:
+    """The image or, where it is large, some windows, and how often each pixel counts."""
+    width, large = WINDOW[match.grid.ndim]
+    shape = match.grid.shape
+    if max(shape) <= large:
+        return [(tuple(slice(0, n) for n in shape), np.ones(shape))]
+    sides = [_tiles(n, width) for n in shape]
+    data, rough = _contents(match, sides)
+    windows = []
+    for k, count in drawn(EVEN * data + (1 - EVEN) * rough, WINDOWS):
+        window = tuple(side[i] for side, i in zip(sides, k, strict=True))
+        windows.append((window, _counts(shape, window, count)))
+    return windows
 
-    def cuts(n: int) -> list[slice]:
-        if n <= large:
-            return [slice(0, n)]
-        starts = (int(np.clip(c - width // 2, 0, n - width)) for c in (n // 4, 3 * n // 4))
-        return [slice(start, start + width) for start in starts]
 
-    sides = [cuts(n) for n in shape]
-    count = max(map(len, sides))
-    return [tuple(side[k % len(side)] for side in sides) for k in range(count)]
+def _tiles(n: int, width: int) -> list[slice]:
+    """Windows that cover an axis of n samples, and overlap as little as they can."""
+    width = min(n, width)
+    starts = np.linspace(0, n - width, -(-n // width)).round().astype(int)
+    return [slice(int(start), int(start) + width) for start in starts]
+
+
+def _contents(match: Match, sides: list[list[slice]]) -> tuple[Array, Array]:
+    """Shares of the windows of a lattice in the squared gradient, and in that times roughness.
+
+    Roughness is the squared second difference of the motion between blocks. What a
+    weight takes away of it is seen where there are gradients.
+    """
+    blocks = [np.arange(0, n, BLOCK) for n in match.grid.shape]
+
+    def blockwise(f: Array) -> Array:
+        for axis, starts in enumerate(blocks):
+            f = np.add.reduceat(f, starts, axis)
+        return f
+
+    data = blockwise((match.g**2).sum(0) * match.used)
+    u, rough = match.u, np.zeros_like(data)
+    for axis, starts in enumerate(blocks):
+        u = u.take(starts, axis + 1)
+    for axis, n in enumerate(data.shape):
+        inner = tuple(slice(1, -1) if k == axis else slice(None) for k in range(data.ndim))
+        if n > 2:
+            rough[inner] += (np.diff(u, 2, axis + 1) ** 2).sum(0)
+    shares = []
+    for part in (data, data * rough):
+        sums = np.empty([len(side) for side in sides])
+        for k in np.ndindex(sums.shape):
+            window = (side[i] for side, i in zip(sides, k, strict=True))
+            sums[k] = part[
+                tuple(slice(s.start // BLOCK, s.stop // BLOCK + 1) for s in window)
+            ].sum()
+        shares.append((sums + TINY) / (sums + TINY).sum())
+    return shares[0], shares[1]
+
+
+def drawn(share: Array, count: int) -> list[tuple[tuple[int, ...], float]]:
+    """Indices of places drawn in proportion to their share, and the inverse of that probability.
+
+    Sums over the places drawn, each times that number, are estimates of sums over all of them
+    without bias (Horvitz and Thompson, J. Am. Stat. Assoc. 47, 1952). Draws are systematic: the
+    middles of ``count`` equal parts of the accumulated share, with every other row backwards,
+    so that neighbours do not stand for each other. A place that is met twice counts twice.
+
+    Parameters
+    ----------
+    share : ndarray
+        Positive, of sum 1.
+    count : int
+    """
+    numbers = np.arange(share.size).reshape(share.shape)
+    numbers[1::2] = numbers[1::2, ::-1]
+    order = numbers.ravel()
+    ends = np.cumsum(share.ravel()[order])
+    middles = ends[-1] * (np.arange(count) + 0.5) / count
+    places, times = np.unique(np.searchsorted(ends, middles), return_counts=True)
+    return [
+        (np.unravel_index(place, share.shape), float(n / (count * share.flat[place])))
+        for place, n in zip(order[places], times, strict=True)
+    ]
+
+
+def _counts(shape: tuple[int, ...], window: tuple[slice, ...], count: float) -> Array:
+    """``count`` on the pixels of a window, 0 near a side where the image goes on."""
+    counts = np.zeros([s.stop - s.start for s in window])
+    inner = (
+        slice(INNER * (s.start > 0), s.stop - s.start - INNER * (s.stop < n))
+        for n, s in zip(shape, window, strict=True)
+    )
+    counts[tuple(inner)] = count
+    return counts
 
 
 def _cut(match: Match, window: tuple[slice, ...]) -> Match:

@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 from eofm.grid import Array, Mask
 from eofm.imaging.intensity import (
     HIGHLIGHT,
+    IMPULSE,
     LINE,
     NEIGHBOURHOOD,
     PEAK,
     RARE,
     Levels,
+    bumps,
     defects,
     filled,
     highlights,
@@ -147,35 +149,48 @@ def _levels(read: Callable[[Window], Array], shape: tuple[int, ...], most: int) 
     """Those of an image from 0 to 1, if there are defects in it."""
     from scipy import ndimage
 
-    values, peaks = np.zeros(STEPS + 1, np.int64), np.zeros(STEPS + 1, np.int64)
-    top = 0
+    values, peaks, steep = (np.zeros(STEPS + 1, np.int64) for _ in range(3))
+    size, steepest, saturated = int(np.prod(shape)), 2.0 * len(shape), 0
     for window in windows(shape, most):
         around, inner = grown(window, PEAK // 2, shape)
         I = read(around)
         peak = (ndimage.maximum_filter(I, PEAK) <= I)[inner]
+        steep += _counts(bumps(I)[inner] / steepest)
         I = I[inner]
-        step = (STEPS * I).astype(np.int64)
-        values += np.bincount(step.ravel(), minlength=STEPS + 1)
-        peaks += np.bincount(step[peak], minlength=STEPS + 1)
-        top += int(np.count_nonzero(I == 1))
+        values += _counts(I)
+        peaks += _counts(I[peak])
+        saturated += int(np.count_nonzero(I == 1))
     median = _quantile(values, 0.5)
     peaks[: int(STEPS * median) + 1] = 0
     if not peaks.any():
         return None
-    highlight = HIGHLIGHT * (_quantile(peaks, 0.75) - median)
-    if median + highlight >= 1 and top < LINE:
-        return None
-    highest, count = 0.0, 0
-    for window in windows(shape, most):
+    highlight, top = HIGHLIGHT * (_quantile(peaks, 0.75) - median), 0.0
+    if median + highlight >= 1 and saturated < LINE:
+        highlight = top = np.inf
+    bump = IMPULSE * steepest * _quantile(steep, 0.75)
+    if not 0 < steep[int(STEPS * bump / steepest) + 1 :].sum() < 2 * RARE * size:
+        bump = np.inf
+    for window in windows(shape, most) if np.isfinite(highlight) else ():
         around, inner = grown(window, REACH, shape)
         above = read(around) - median
         lit = highlights(above, highlight)[inner]
-        highest = max(highest, float(np.max(above[inner], where=~lit, initial=0.0)))
-    levels = Levels(median, highlight, highest)
-    for window in windows(shape, most):
+        top = max(top, float(np.max(above[inner], where=~lit, initial=0.0)))
+    levels, marked, single = Levels(median, highlight, top, bump), 0, 0
+    for window in windows(shape, most) if np.isfinite([highlight, bump]).any() else ():
         around, inner = grown(window, REACH, shape)
-        count += int(np.count_nonzero(levels.marked(read(around))[inner]))
-    return levels if 0 < count < RARE * np.prod(shape) else None
+        I = read(around)
+        marked += int(np.count_nonzero(levels.marked(I)[inner]))
+        single += int(np.count_nonzero(levels.single(I)[inner]))
+    if not 0 < marked < RARE * size:
+        levels = levels._replace(highlight=np.inf, top=np.inf)
+    if not 0 < single < RARE * size:
+        levels = levels._replace(bump=np.inf)
+    return levels if np.isfinite([levels.highlight, levels.bump]).any() else None
+
+
+def _counts(I: Array) -> NDArray[np.int64]:
+    """How many values from 0 to 1 are in each step."""
+    return np.bincount((STEPS * I).astype(np.int64).ravel(), minlength=STEPS + 1)
 
 
 def _quantile(counts: NDArray[np.int64], part: float) -> float:

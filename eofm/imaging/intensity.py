@@ -2,6 +2,7 @@
 
 import logging
 from functools import reduce
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +30,12 @@ LINE, RAGGED = 32, 0.25
 BLOCK, CONTRAST, GROWTH, RANGE = 8, (0.4, 1.3), 0.75, 10 ** (15 / 20)
 # Slices of a volume, and blocks, that suffice to tell.
 SLICES, ENOUGH = 16, 64
+# An impulse differs so many times as far from its neighbours' mean as three in four pixels do, and
+# so much of what it differs by from its surroundings from all neighbours but one: the light of
+# no lens does, whose points are wider than a pixel.
+IMPULSE, ALONE = 4.0, 0.7
+# Least part of what surroundings vary by, but for two pixels at either end.
+CLEAR = 0.35
 # Numbers whose sums are taken at once.
 CHUNK = 2**19
 # What is said of it.
@@ -118,12 +125,15 @@ class Levels(NamedTuple):
     ----------
     median : float
     highlight, top : float
-        Heights above the median: of highlights, and of what saturates.
+        Heights above the median: of highlights, and of what saturates; infinite for none.
+    bump : float
+        Sum of second differences of an impulse; infinite for none.
     """
 
     median: float
     highlight: float
     top: float
+    bump: float
 
     @classmethod
     def of(cls, I: Array) -> "Levels | None":
@@ -138,7 +148,10 @@ class Levels(NamedTuple):
             return None
         highlight = HIGHLIGHT * np.quantile(peaks, 0.75)
         lit = highlights(above, highlight)
-        return cls(median, highlight, np.max(above, where=~lit, initial=0.0))
+        top = np.max(above, where=~lit, initial=0.0)
+        steep = bumps(I)
+        bump = IMPULSE * np.quantile(steep.ravel()[:: max(1, steep.size // CHUNK)], 0.75)
+        return cls(median, highlight, top, bump if rare(steep > bump, 2 * RARE) else np.inf)
 
     def marked(self, I: Array) -> Mask:
         """Pixels of highlights and saturated lines."""
@@ -154,6 +167,37 @@ class Levels(NamedTuple):
             found |= _smooth_edged(lines.view(bool), top.view(bool))
         return found
 
+    def single(self, I: Array) -> Mask:
+        """Impulses: pixels that are bright or dark alone, as hot and dead ones are."""
+        found: Mask = np.zeros(I.shape, dtype=bool)
+        at = np.nonzero(bumps(I) > self.bump)
+        offsets = np.array(list(product(range(-2, 3), repeat=I.ndim))).T
+        padded = np.pad(I, 2, mode="edge")
+        around = padded[tuple(k + o[:, None] + 2 for k, o in zip(at, offsets, strict=True))]
+        middle = np.median(around, axis=0)
+        sign = np.sign(I[at] - middle)
+        near = np.abs(offsets).max(axis=0) == 1
+        # Two impulses may be neighbours.
+        second = np.sort(sign * around[near], axis=0)[-2]
+        around.sort(axis=0)
+        least = np.maximum(ALONE * sign * (I[at] - middle), CLEAR * (around[-3] - around[2]))
+        found[at] = sign * I[at] - second > least
+        return found
+
+
+def bumps(I: Array) -> Array:
+    """Sum of the second differences along all axes, without its sign; 0 of what an edge cuts."""
+    total = np.zeros_like(I)
+    for axis in range(I.ndim):
+        inner = tuple(slice(1, -1) if k == axis else slice(None) for k in range(I.ndim))
+        total[inner] += np.diff(I, 2, axis)
+    return np.abs(total, out=total)
+
+
+def rare(found: Mask, part: float = RARE) -> bool:
+    """Whether there are some pixels, and few of them."""
+    return bool(0 < np.count_nonzero(found) < part * found.size)
+
 
 def highlights(above: Array, height: float) -> Mask:
     """Pixels that are so high above the median, and stand alone."""
@@ -165,11 +209,11 @@ def highlights(above: Array, height: float) -> Mask:
 
 
 def defects(I: Array, levels: Levels | None = None) -> Mask:
-    """Pixels that show the detector instead of the sample: highlights and saturated lines.
+    """Pixels that show the detector instead of the sample: highlights, saturated lines, impulses.
 
     Saturated pixels as such are none: what is clipped where it is bright moves with the
-    sample. Highlights stand alone, and neither is found where both would make up more than 5 % of
-    the image or volume. Of a part of an image that has defects, the ``levels`` are those of the
+    sample. Highlights stand alone, and none is found where it would make up more than 5 % of the
+    image or volume. Of a part of an image that has defects, the ``levels`` are those of the
     whole.
     """
     from scipy import ndimage
@@ -177,10 +221,12 @@ def defects(I: Array, levels: Levels | None = None) -> Mask:
     own = levels or Levels.of(I)
     if own is None:
         return np.zeros(I.shape, dtype=bool)
-    found = own.marked(I)
-    if not found.any() or (levels is None and not found.mean() < RARE):
-        return np.zeros_like(found)
-    return ndimage.binary_dilation(found, iterations=MARGIN)
+    found, single = own.marked(I), own.single(I)
+    if levels is None:
+        found, single = (f & rare(f) for f in (found, single))
+    if found.any():
+        single |= ndimage.binary_dilation(found, iterations=MARGIN)
+    return single
 
 
 def _smooth_edged(lines: Mask, top: Mask) -> Mask:

@@ -6,7 +6,7 @@ import pytest
 from eofm.flow.estimate import estimate_displacement
 from eofm.flow.known import Known
 from eofm.flow.matching import ImagePair, held_out
-from eofm.flow.weight import choose_alpha
+from eofm.flow.weight import choose_alpha, drawn
 from eofm.grid import Grid
 from eofm.settings import Estimation, Phantom
 from eofm.simulation.phantom import make_phantom
@@ -66,6 +66,30 @@ def test_the_weight_chosen_is_near_the_best(noise):
     assert relative(estimate_displacement(*images).u, u) < 1.25 * min(errors)
 
 
+@pytest.mark.parametrize("wavelength", [40, 60])
+def test_motion_that_varies_within_some_speckles_is_found(wavelength):
+    """Weights that smooth it away are a minimum of the misfit too."""
+    x2, x1 = np.mgrid[:160, :150]
+    u = np.stack([1.2 * np.sin(2 * np.pi * x2 / wavelength), np.cos(2 * np.pi * x1 / wavelength)])
+    found = estimate_displacement(*speckle(u, count=2400, noise=0.02))
+    assert relative(found.u, u) < 0.1
+    assert found.trust.verdict == "good"
+
+
+def test_a_larger_weight_of_coarser_scales_counts_as_far_as_the_misfit_allows():
+    u = smooth_field()
+    I1, I2 = speckle(u, count=1500, noise=0.1)
+    shape = u.shape[1:]
+    free, zero = np.ones(shape, dtype=bool), np.zeros_like(u)
+    match = ImagePair(Grid(shape), I1, I2, free, free, True).linearise(u)
+    best, alone = choose_alpha(match, zero, zero, free, 1.0)
+    assert alone == best
+    _, used = choose_alpha(match, zero, zero, free, 1.0, (2 * best,))
+    assert used == pytest.approx(np.sqrt(2) * best)
+    _, used = choose_alpha(match, zero, zero, free, 1.0, (1e8 * best,))
+    assert best <= used < 1e3 * best
+
+
 def test_windows_stand_for_a_large_image():
     """More pixels to the same weight: its order of magnitude does not depend on windows."""
     shape = (400, 420)
@@ -73,13 +97,45 @@ def test_windows_stand_for_a_large_image():
     I1, I2 = speckle(u, count=12000, noise=0.1)
     free, zero = np.ones(shape, dtype=bool), np.zeros((2, *shape))
     match = ImagePair(Grid(shape), I1, I2, free, free, True).linearise(u)
-    chosen = choose_alpha(match, zero, zero, free, 1.0)
+    chosen, _ = choose_alpha(match, zero, zero, free, 1.0)
     part = np.s_[:300, :300]
     match = ImagePair(Grid((300, 300)), I1[part], I2[part], free[part], free[part], True).linearise(
         u[:, *part]
     )
     zero = zero[:, *part]
-    assert 0.1 < chosen / choose_alpha(match, zero, zero, free[part], 1.0) < 10
+    assert 0.1 < chosen / choose_alpha(match, zero, zero, free[part], 1.0)[0] < 10
+
+
+def test_places_drawn_count_as_all_of_them():
+    """The mean over many draws of weighed sums is the sum: each draw is a shift of the shares."""
+    rng = np.random.default_rng(0)
+    share = rng.uniform(0.2, 1, (4, 6))
+    share /= share.sum()
+    picked = drawn(share, 5)
+    assert all(np.isclose(count * 5 * share[k], round(count * 5 * share[k])) for k, count in picked)
+    assert np.isclose(sum(count * share[k] for k, count in picked), 1)
+    even = drawn(np.full((4, 6), 1 / 24), 24)
+    assert sorted(k for k, _ in even) == list(np.ndindex(4, 6))
+    assert np.allclose([count for _, count in even], 1)
+    sure = drawn(np.where(np.arange(24).reshape(4, 6) == 7, 1 - 23e-6, 1e-6), 5)
+    assert [k for k, _ in sure] == [(1, 1)]
+    assert sure[0][1] == pytest.approx(1, rel=1e-3)
+
+
+def test_a_motion_that_is_rough_in_one_place_is_not_missed():
+    """A shear band of a large image that lies in none of its quarters' middles."""
+    shape = (512, 512)
+    x2, x1 = np.mgrid[: shape[0], : shape[1]]
+    u = np.stack([0.002 * x2, 1.0 * np.tanh((x1 - 256) / 6)])
+    images = speckle(u, count=22000, sigma=(1.5, 1.5), noise=0.01)
+    found = estimate_displacement(*images)
+    errors = {
+        alpha: np.sqrt(
+            ((estimate_displacement(*images, Estimation(alpha=alpha)).u - u) ** 2).mean()
+        )
+        for alpha in (0.03, 0.3, 3.0)
+    }
+    assert np.sqrt(((found.u - u) ** 2).mean()) < 1.15 * min(errors.values())
 
 
 def test_a_black_quarter_does_not_stop_the_choice():

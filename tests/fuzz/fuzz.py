@@ -39,7 +39,7 @@ from record import record_part, recorded
 
 from eofm import io
 from eofm.errors import InputError
-from eofm.io import dicom, formats, hdf5, nifti, omezarr
+from eofm.io import dicom, formats, hdf5, matlab, nifti, omezarr
 
 SECONDS, MEMORY, IMAGE = 10, 1 << 30, 1 << 26
 # Libraries hang and crash, that for HDF5 the most; so many ends are tried in its own process.
@@ -193,7 +193,7 @@ def fuzz(
 
 def _contained(path: Path) -> str:
     """What is wrong with the line that the command has for a file that ends its reader."""
-    formats.PATIENCE = APART_SECONDS
+    formats.PATIENCE = matlab.PATIENCE = APART_SECONDS
     try:
         io.read_image(unpacked(path))
     except InputError as error:

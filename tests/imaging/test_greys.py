@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from eofm.errors import InputError
 from eofm.imaging.greys import Greys, grown
@@ -13,11 +14,13 @@ from eofm.io import windows
 SHAPE = (30, 40, 36)
 
 
-def volumes(seed=0, lights=0, line=False):
+def volumes(seed=0, lights=0, line=False, impulses=0):
     rng = np.random.default_rng(seed)
-    pair = [(100 + 50 * rng.rayleigh(size=SHAPE)).astype(np.float32) for _ in range(2)]
+    pair = [(100 + 50 * gaussian_filter(rng.rayleigh(size=SHAPE), 1.0)) for _ in range(2)]
+    pair = [I.astype(np.float32) for I in pair]
     for at in rng.integers(4, 26, (lights, 3)):
         pair[0][tuple(at)] += 5000
+    pair[0][tuple(rng.integers(0, 30, (3, impulses)))] = 0
     if line:
         pair[1][12, 3:, 20] = 1000
     return pair
@@ -29,9 +32,12 @@ def whole(pair):
     return normalise(*(filled(I, d) for I, d in zip(pair, dead, strict=True))), dead
 
 
-@pytest.mark.parametrize(("lights", "line"), [(0, False), (5, False), (5, True), (0, True)])
-def test_windows_have_the_grey_scale_of_the_whole(lights, line):
-    pair = volumes(lights=lights, line=line)
+@pytest.mark.parametrize(
+    ("lights", "line", "impulses"),
+    [(0, False, 0), (5, False, 0), (5, True, 0), (0, True, 0), (0, False, 40), (5, True, 40)],
+)
+def test_windows_have_the_grey_scale_of_the_whole(lights, line, impulses):
+    pair = volumes(lights=lights, line=line, impulses=impulses)
 
     def raw(k, window):
         return pair[k][window]
@@ -43,7 +49,7 @@ def test_windows_have_the_grey_scale_of_the_whole(lights, line):
     def marked(k, window):
         return greys.dead(raw, k, window, SHAPE)
 
-    assert any(d.any() for d in dead) == (lights > 0 or line)
+    assert any(d.any() for d in dead) == (lights > 0 or line or impulses > 0)
     for k in (0, 1):
         for window in windows(SHAPE, 9000):
             I, live = greys.read(raw, marked, k, window, SHAPE)

@@ -16,6 +16,9 @@ from matplotlib.image import imread
 from eofm.analysis.metrics import relative_errors
 from eofm.io import read_field
 
+sys.path.insert(0, str(Path(__file__).parents[2] / "workflow/scripts"))
+from reliability import compare
+
 PARTS = ["Snakefile", "config", "workflow", "profiles", "eofm", "tests/small.yaml"]
 
 
@@ -97,6 +100,12 @@ def test_one_bad_sample_fails_the_run_not_the_others(project):
     folder = project.root / "results/samples/good"
     assert imread(folder / "displacement.png").std() > 0.05
     assert '"steps": 1' in (folder / "summary.json").read_text()
+
+
+def test_a_row_takes_about_the_memory_that_is_said_before(project):
+    good, *refused = compare(project.root, "pairs.tsv")
+    assert len(refused) == 2  # rows in tiles have jobs of their own
+    assert 1 / 1.5 < good["mb"] < 1.5
 
 
 @pytest.mark.parametrize(

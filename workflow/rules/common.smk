@@ -18,7 +18,7 @@ sys.path.insert(0, str(SCRIPTS))
 from commands import options, read_samples, sample_files, sample_words
 from deploy import prefix
 from imports import Sources
-from parts import memory, minutes, parts, pixels
+from parts import asked_memory, minutes, parts, size
 from runs import only_run
 from tiled import levels, numbers, tile_memory, tile_minutes, tiled
 

@@ -10,8 +10,9 @@ onerror:
     if left and not workflow.dag.finished(left[0]):
         from samples_left import write_what_is_left
 
-        number = {name: n for n, names in enumerate(PARTS) for name in names}
-        rules_of = {name: f"samples_{number[name]}" for name in SAMPLES}
+        rules_of = dict.fromkeys(SAMPLES, "gathered")
+        for number, names in enumerate(PARTS):
+            rules_of |= dict.fromkeys(names, f"samples_{number}")
         write_what_is_left(rules_of, Path(OWN), log)
 
 
@@ -32,7 +33,7 @@ rule samples:
 
 
 for number, names in enumerate(PARTS):
-    sizes = [pixels(SAMPLES[name]) for name in names]
+    sizes = [size(SAMPLES[name]) for name in names]
 
     rule:
         name:
@@ -50,9 +51,9 @@ for number, names in enumerate(PARTS):
             f"benchmarks/samples_{number}.tsv"
         conda:
             "../envs/eofm.yaml"
-        threads: 1 if max(sizes) < 1_000_000 else 4
+        threads: 1 if max(sizes).pixels < 1_000_000 else 4
         resources:
-            mem_mb=memory(max(sizes)),
+            mem_mb=asked_memory(sizes),
             runtime=minutes(sizes),
         params:
             folder=lambda wildcards, output: str(Path(output[0]).parents[1]),
@@ -61,9 +62,9 @@ for number, names in enumerate(PARTS):
                     "words": sample_words(SAMPLES[name]),
                     "files": sample_files(SAMPLES[name]),
                     "log": f"logs/samples/{name}.log",
-                    "seconds": 60 * minutes([size]),
+                    "seconds": 60 * minutes([of_row]),
                 }
-                for name, size in zip(names, sizes)
+                for name, of_row in zip(names, sizes)
             },
         script:
             "../scripts/sample_part.py"

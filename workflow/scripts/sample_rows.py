@@ -73,10 +73,10 @@ def run_rows(rows: dict[str, dict[str, Any]], folder: Path, code: list[str], thr
     pool.shutdown()
 
 
-def kept(place: Path) -> dict[str, Any]:
+def kept(place: Path, name: str = KEPT) -> dict[str, Any]:
     """What a row says of itself, also where its job was killed later; nothing if it did not end."""
     try:
-        return json.loads((place / KEPT).read_text())
+        return json.loads((place / name).read_text())
     except (OSError, ValueError):
         return {}
 

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from sample_rows import READY, crashed, kept
+from sample_rows import READY, STATE, crashed, kept
 from samples_page import CSV, write
 
 # What an executor says of a job of rows, and where the table says which job it was.
@@ -42,8 +42,7 @@ def write_what_is_left(rows: dict[str, str], folder: Path, logs: list[str]) -> N
 
 
 def _state(name: str, folder: Path, said: str) -> dict[str, Any]:
-    state = kept(folder / name)
-    if state:
+    if state := kept(folder / name) or kept(folder / name, STATE):
         return state
     because = f" ({said})" if said else ""
     return {"sample": name} | crashed(f"its job ended before it was done{because}")

@@ -22,7 +22,7 @@ SHOWN, EMBEDDED = 500, 8_000_000
 SIDE = 96
 COLOURS = {"good": "#2f7d56", "doubtful": "#b45f06", "failed": "#b3261e"}
 CELL = "padding: 4px 14px 4px 0; text-align: left; vertical-align: middle;"
-NARROW = CELL + " white-space: nowrap;"
+NARROW = CELL + " white-space: nowrap; border-top: 1px solid #8884"
 HEAD = ("sample", "axial motion", "state", "motion, least to most", "axial strain", "seconds")
 
 PAGE = """<!doctype html>
@@ -81,7 +81,8 @@ def table(states: list[dict[str, Any]], folder: Path, links: str) -> str:
     rows = "".join(_row(state, folder, links) for state in states[:SHOWN])
     more = len(states) - SHOWN
     note = f"<p>{more} more are in summary.csv.</p>" if more > 0 else ""
-    return f'<table style="border-collapse: collapse"><tr>{head}</tr>{rows}</table>{note}'
+    shown = f'<table style="border-collapse: collapse"><tr>{head}</tr>{rows}</table>'
+    return f'<div style="overflow-x: auto">{shown}</div>{note}'
 
 
 def page(states: list[dict[str, Any]], folder: Path) -> str:
@@ -100,8 +101,7 @@ def page(states: list[dict[str, Any]], folder: Path) -> str:
 def _row(state: dict[str, Any], folder: Path, links: str) -> str:
     name, verdict = html.escape(state["sample"]), state.get("verdict", state["state"])
     colour = COLOURS.get(verdict, "#b3261e")
-    reason = html.escape(state.get("reason", ""))
-    cells = [name, "", f'<b style="color: {colour}">{html.escape(verdict)}</b><br>{reason}']
+    cells = [name, "", f'<b style="color: {colour}">{html.escape(verdict)}</b>']
     summary = folder / state["sample"] / "summary.json"
     motion, strain = "", ""
     if state["state"] == "done" and summary.is_file():
@@ -111,11 +111,11 @@ def _row(state: dict[str, Any], folder: Path, links: str) -> str:
         motion = "<br>".join(_ranges(values))
         strain = f"{100 * values['axial_strain_mean']:.2f} %"
     cells += [motion, strain, f"{state['seconds']:.3g}" if "seconds" in state else ""]
-    shown = "".join(
-        f'<td style="{CELL if k == 2 else NARROW} border-top: 1px solid #8884">{cell}</td>'
-        for k, cell in enumerate(cells)
-    )
-    return f"<tr>{shown}</tr>\n"
+    rows = "<tr>" + "".join(f'<td style="{NARROW}">{cell}</td>' for cell in cells) + "</tr>\n"
+    if reason := html.escape(state.get("reason", "")):
+        # Below, where it has room.
+        rows += f'<tr><td></td><td style="{CELL}" colspan="{len(HEAD) - 1}">{reason}</td></tr>\n'
+    return rows
 
 
 def _ranges(summary: dict[str, Any]) -> list[str]:
