@@ -15,7 +15,7 @@ from eofm.analysis import findings, summary
 from eofm.analysis.sections import Sections, middle
 from eofm.analysis.strain import strain
 from eofm.analysis.tensors import labels
-from eofm.analysis.tiles import Work, write_field
+from eofm.analysis.tiles import Work, read_choice, write_field
 from eofm.flow.tiles import common, shape_of
 from eofm.flow.trust import Trust, pooled
 from eofm.grid import Array, componentwise, geometric_mean, precision, unit_spacing
@@ -201,7 +201,7 @@ def _summary(results: Gathered, e: io.Store, trust: Trust) -> dict[str, Any]:
         "steps": 1,
         "tiles": list(plan.counts(0)[::-1]),
         "overlap_px": plan.overlap,
-        "alpha": [_alpha(results)],
+        "alpha": [read_choice(results.work.folder, 0).alpha],
     }
     for i, side in enumerate(results.sides):
         found[f"u{i + 1}_range_px"] = [float(low[i]), float(high[i])]
@@ -209,11 +209,6 @@ def _summary(results: Gathered, e: io.Store, trust: Trust) -> dict[str, Any]:
     found["largest_motion_px"] = [float(max(-a, b, 0)) for a, b in zip(low, high, strict=True)]
     found |= summary.of_strain(sampled, plan.measures, results.window, live)
     return found | {"trust": [trust.summary()]}
-
-
-def _alpha(results: Gathered) -> float:
-    said = json.loads((results.work.folder / "choice_0.json").read_text())
-    return float(said["alpha"])
 
 
 def _figure_settings(results: Gathered) -> Figures:

@@ -33,6 +33,7 @@ from eofm.flow.estimate import best_start, largest_small
 from eofm.flow.known import Known
 from eofm.flow.problem import FINEST, Problem, nothing
 from eofm.flow.tiles import (
+    Choice,
     Scale,
     Tile,
     blend,
@@ -458,20 +459,20 @@ def tile(folder: Path, level: int, number: int) -> None:
         tiles = work.plan.tiles(level)
         if number >= len(tiles):
             raise InputError(f"number: there are tiles 0 to {len(tiles) - 1} on level {level}")
-        choice = read_choice(folder, level)
-        chosen = tiles[number]
-        u, trust = solve(work.scale(level), chosen, work.start(level, chosen.region), choice[0])
+        choice, part = read_choice(folder, level), tiles[number]
+        start = work.start(level, part.region)
+        u, trust = solve(work.scale(level), part, start, choice)
         if level == 0:
             seen = np.full((1, *u.shape[1:]), np.nan, np.float32)
-            seen[0][chosen.inner] = trust.map
+            seen[0][part.inner] = trust.map
             u = np.concatenate([u, seen])
         store = work.new(f"tile_{level}_{number}", u.shape)
         store.write(tuple(slice(0, n) for n in u.shape), u)
         io.write_json(folder / f"tile_{level}_{number}.json", trust.summary())
 
 
-def read_choice(folder: Path, level: int) -> tuple[float, tuple[float, ...]]:
-    """The weight of a scale, and those that scales have chosen up to it.
+def read_choice(folder: Path, level: int) -> Choice:
+    """What was chosen for the tiles of a scale.
 
     Raises
     ------
@@ -484,7 +485,8 @@ def read_choice(folder: Path, level: int) -> tuple[float, tuple[float, ...]]:
             f"{folder}: level {level} is not prepared yet; gather the tiles of level {level + 1}"
         )
     said = json.loads(path.read_text())
-    return said["alpha"], tuple(said["chosen"])
+    overall = {name: tuple(values) for name, values in said["overall"].items()}
+    return Choice(**said | {"chosen": tuple(said["chosen"]), "overall": overall})
 
 
 def _next(plan: Plan, level: int) -> str:
@@ -509,7 +511,7 @@ def gather(folder: Path, level: int) -> str:
         _check_level(work, level)
         shape = work.plan.grid(level)
         write_field(work, level, work.new(f"field_{level}", (len(work.plan.shape), *shape)))
-        work.choose(level - 1, read_choice(folder, level)[1])
+        work.choose(level - 1, read_choice(folder, level).chosen)
     return _next(work.plan, level - 1)
 
 

@@ -1,7 +1,7 @@
 """How well a displacement carries one image onto the other, to first order."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -35,6 +35,29 @@ CLIPPED, OUTLIER = 9.0, 20.0
 
 
 @dataclass(frozen=True)
+class Overall:
+    """Numbers of whole images, such as the mean weight, which parts of them take over.
+
+    Attributes
+    ----------
+    known : mapping of tuple of float
+        Those of the whole, by name.
+    noted : dict of tuple of float
+        The others as they were computed last, from the images that there are.
+    """
+
+    known: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    noted: dict[str, tuple[float, ...]] = field(default_factory=dict)
+
+    def __call__(self, name: str, compute: Callable[[], tuple[float, ...]]) -> tuple[float, ...]:
+        """Return what is known, or compute and note it."""
+        if name in self.known:
+            return self.known[name]
+        self.noted[name] = compute()
+        return self.noted[name]
+
+
+@dataclass(frozen=True)
 class Match:
     """Two images linearised about a displacement: ``I2(x + v) - I1 = r + g . (v - u)``.
 
@@ -49,6 +72,7 @@ class Match:
         Pixels that carry data: neither dead nor moved out of the image.
     weight : ndarray, shape (height, width), optional
         By the root of which g and r were multiplied, see :meth:`weighed`.
+    overall : Overall
     """
 
     grid: Grid
@@ -57,6 +81,7 @@ class Match:
     r: Array
     used: Mask
     weight: Array | None = None
+    overall: Overall = field(default_factory=Overall)
 
     def weighed(self, contrast: Array) -> "Match":
         """Return the same with g and r in units of the noise, which is not alike everywhere.
@@ -73,14 +98,19 @@ class Match:
         local = around.mean(r2)
         for _ in range(2):
             local = around.mean(np.minimum(r2, CLIPPED * local))
-        # Both are smooth: some of the pixels tell.
-        told = np.flatnonzero(self.used)[:: int(NOISE)]
-        variances, squares = local.ravel()[told], contrast.ravel()[told] ** 2
-        least = LEAST_VARIANCE * variances.mean() + TINY
-        constant, slope = _variances(variances, squares, least)
+
+        def variances() -> tuple[float, ...]:
+            # Both are smooth: some of the pixels tell.
+            told = np.flatnonzero(self.used)[:: int(NOISE)]
+            values, squares = local.ravel()[told], contrast.ravel()[told] ** 2
+            least = float(LEAST_VARIANCE * values.mean() + TINY)
+            return least, *_variances(values, squares, least)
+
+        least, constant, slope = self.overall("variances", variances)
         w = 1 / (constant + slope * contrast**2 + least)
         w /= 1 + (r2 / (OUTLIER * (local + least))) ** 2
-        w /= w[self.used].mean()
+        (mean,) = self.overall("weight", lambda: (float(w[self.used].mean()),))
+        w /= mean
         root = np.sqrt(w)
         return replace(self, g=self.g * root, r=self.r * root, weight=w)
 
@@ -106,7 +136,7 @@ class Match:
         themselves are not filtered, for at the edges a filter sees what lies beyond them in
         one image and not in the other, which would move them.
         """
-        width = WHITE * self.whiteness if width is None else width
+        width = WHITE * self._white if width is None else width
         if width < SHARP:
             return self
         g, r = _smooth((self.g, self.r[None]), self.used, width)
@@ -123,7 +153,7 @@ class Match:
         regressors are uncertain (Carroll and others, Measurement Error in Nonlinear Models,
         2006, ch. 4): noise is no structure, and would promise a motion that is known better.
         """
-        white, g, g2 = self.whiteness, g1, 2 * self.g
+        white, g, g2 = self._white, g1, 2 * self.g
         g2 -= g1
         r, width = self.r, WHITE * white if width is None else width
         if width >= SHARP:
@@ -133,9 +163,15 @@ class Match:
         alone = min(1.0, white / ALL_WHITE)
         g = 0.5 * ((1 + alone) * g + (1 - alone) * g2)
         own = around.mean(_dot(g, g))
-        common /= own + LEAST_VARIANCE * LEAST_SHARE * own.mean() + TINY
+        (mean,) = self.overall("gradient", lambda: (float(own.mean()),))
+        common /= own + LEAST_VARIANCE * LEAST_SHARE * mean + TINY
         g *= np.clip(common, LEAST_SHARE, 1, out=common)
         return replace(self, g=g, r=r)
+
+    @property
+    def _white(self) -> float:
+        """The whiteness of the whole."""
+        return self.overall("white", lambda: (self.whiteness,))[0]
 
     @cached_property
     def whiteness(self) -> float:
@@ -189,6 +225,8 @@ class ImagePair:
         would level them: that alone is half of the error at the edges of clean images.
     offset : tuple of int, optional
         Where the grid begins in I2, samples, lateral first, if that shows more than the grid.
+    overall : Overall
+        Of the whole images, if these are parts.
     """
 
     grid: Grid
@@ -200,6 +238,7 @@ class ImagePair:
     robust: bool = False
     straight: bool = False
     offset: tuple[int, ...] = ()
+    overall: Overall = field(default_factory=Overall)
 
     def linearise(self, u: Array) -> Match:
         """Return the images linearised about a displacement."""
@@ -229,7 +268,7 @@ class ImagePair:
         g1 = Spline(self.I1, self.straight).gradient(self.grid.spacing)
         I1, contrast = self.I1, np.ones((), u.dtype)
         if self.robust and used.any():
-            gain, offset, contrast = brightness(I1, warped, used)
+            gain, offset, contrast = brightness(I1, warped, used, self.overall)
             g1 *= gain
             I1 = np.add(np.multiply(gain, I1, out=gain), offset, out=gain)
         if self.mean:
@@ -238,25 +277,28 @@ class ImagePair:
         else:
             g = g1
         warped -= I1
-        return Match(self.grid, u, g, warped, used), g1, contrast
+        return Match(self.grid, u, g, warped, used, overall=self.overall), g1, contrast
 
 
-def brightness(I1: Array, warped: Array, used: Mask) -> tuple[Array, Array, Array]:
+def brightness(
+    I1: Array, warped: Array, used: Mask, overall: Overall
+) -> tuple[Array, Array, Array]:
     """Gain and offset that give I1 the local mean and contrast of the warped I2; that contrast.
 
     A generalised dynamic image model (Negahdaripour, IEEE Trans. Pattern Anal. Mach. Intell. 20,
     1998) by moments, which noise in both images does not bias as a regression would be.
     """
     around = Window(used, BRIGHTNESS)
+    spreads = overall("spreads", lambda: tuple(float(np.std(I, where=used)) for I in (I1, warped)))
 
-    def moments(I: Array) -> tuple[Array, Array]:
+    def moments(I: Array, spread: float) -> tuple[Array, Array]:
         mean, contrast = around.mean(I), around.mean(I, I)
         contrast -= mean**2
         np.maximum(contrast, 0, out=contrast)
-        contrast += (LEAST_CONTRAST * np.std(I, where=used)) ** 2 + TINY
+        contrast += (LEAST_CONTRAST * spread) ** 2 + TINY
         return mean, np.sqrt(contrast, out=contrast)
 
-    (mean1, gain), (mean2, contrast) = moments(I1), moments(warped)
+    (mean1, gain), (mean2, contrast) = map(moments, (I1, warped), spreads)
     np.divide(contrast, gain, out=gain)
     mean1 *= gain
     return gain, np.subtract(mean2, mean1, out=mean2), contrast

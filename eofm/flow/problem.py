@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from eofm.errors import InputError
 from eofm.flow.functional import Pointwise, Quadratic, edge_term, speckle_term
 from eofm.flow.known import Known
-from eofm.flow.matching import ImagePair, Match
+from eofm.flow.matching import ImagePair, Match, Overall
 from eofm.flow.multigrid import multigrid
 from eofm.flow.pyramid import pyramid, sampled, solving
 from eofm.flow.weight import choose_alpha, enough, first_alpha
@@ -248,10 +248,13 @@ def image_pair(
     settings: Estimation,
     fine: bool,
     offset: tuple[int, ...] = (),
+    overall: Overall | None = None,
 ) -> ImagePair:
     """Images on a grid, and how they are compared there; ``fine`` grids fit brightness."""
     mean, robust = settings.gradients == "mean", settings.robust and fine
-    return ImagePair(grid, *images, *live, mean, robust, settings.robust, offset)
+    return ImagePair(
+        grid, *images, *live, mean, robust, settings.robust, offset, overall or Overall()
+    )
 
 
 def normalised(

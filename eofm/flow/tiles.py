@@ -8,8 +8,8 @@ pass over smoothly into each other.
 """
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from itertools import pairwise, product
 from typing import NamedTuple
@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from eofm.errors import InputError
-from eofm.flow.matching import ImagePair, Match
+from eofm.flow.matching import ImagePair, Match, Overall
 from eofm.flow.multigrid import multigrid
 from eofm.flow.problem import COARSE, FINEST, ROUGH, Level, Problem, image_pair, nothing
 from eofm.flow.trust import Trust, judge
@@ -152,12 +152,15 @@ class Scale:
         ``read(k, window)`` gives the first (0) or second (1) image and where it carries data.
     spreads : sequence of float
         Standard deviations of the whole images.
+    overall : Overall
+        What is known of them beside that.
     """
 
     problem: Problem
     number: int
     read: Read
     spreads: Sequence[float]
+    overall: Overall = field(default_factory=Overall)
 
     @property
     def grid(self) -> Grid:
@@ -200,7 +203,8 @@ class Scale:
             after.append(slice(first, max(min(last, n), first + min(n, 2 * BEYOND))))
         (I1, live), (I2, live_after) = self._image(0, region), self._image(1, tuple(after))
         offset = tuple(r.start - a.start for r, a in zip(region, after, strict=True))[::-1]
-        return image_pair(grid, (I1, I2), (live, live_after), settings, self.fine, offset)
+        images, masks = (I1, I2), (live, live_after)
+        return image_pair(grid, images, masks, settings, self.fine, offset, self.overall)
 
     def _image(self, k: int, window: Window) -> tuple[Array, Mask]:
         if not self.problem.settings.robust or self.fine:
@@ -264,16 +268,21 @@ class Choice(NamedTuple):
 
     Attributes
     ----------
-    alpha : float
+    first, alpha : float
+        Of the first solve of the scale, and of the others.
     chosen : tuple of float
         The weights that scales have chosen up to this one.
     reach : float
         Length, samples, that ``alpha`` holds as firmly as the images do.
+    overall : mapping
+        Numbers of the whole images, see :class:`eofm.flow.matching.Overall`.
     """
 
+    first: float
     alpha: float
     chosen: tuple[float, ...]
     reach: float
+    overall: Mapping[str, tuple[float, ...]]
 
 
 def choose(
@@ -282,7 +291,7 @@ def choose(
     starts: Callable[[Window], Array],
     chosen: tuple[float, ...],
 ) -> Choice:
-    """The weight of a scale from some parts of it, one after the other in memory.
+    """What all tiles of a scale are to have alike, from some parts of it.
 
     Parameters
     ----------
@@ -294,15 +303,20 @@ def choose(
     chosen : tuple of float
         The weights that coarser scales have chosen.
     """
-    settings, number, parts = scale.problem.settings, scale.number, []
+    settings, number = scale.problem.settings, scale.number
+    found = []
     for tile in tiles:
         level = scale.level(tile.region, starts(tile.region))
-        inner = _part(_near(level, chosen), tile.inner)
+        found.append((level, _near(level, chosen[-1] if chosen else None)))
+    matches, overall = _alike(found, settings.denoising)
+    parts = []
+    for tile, (level, _), match in zip(tiles, found, matches, strict=True):
         fields = (level.base[:, *tile.inner], level.prescribed[:, *tile.inner])
-        parts.append((inner, *fields, level.free[tile.inner]))
+        parts.append((_part(match, tile.inner), *fields, level.free[tile.inner]))
     strength = float(np.mean([part[0].strength for part in parts]))
-    alpha = settings.alpha or (chosen[-1] if chosen else None)
-    alpha = alpha or float(np.mean([first_alpha(part[0]) for part in parts]))
+    last = chosen[-1] if chosen else None
+    first = settings.alpha or last or float(np.mean([first_alpha(part[0]) for part in parts]))
+    alpha = first
     decides = number >= len(scale.problem.grids) - 2 and enough(scale.grid.shape)
     if settings.alpha is None and decides:
         held = folds(scale.grid.shape, len(tiles))
@@ -314,19 +328,44 @@ def choose(
         best, alpha = least_misfit(trials, alpha, chosen)
         chosen = *chosen, best
     reach = (alpha / (strength + np.finfo(float).tiny)) ** 0.25
-    return Choice(alpha, chosen, reach / scale.grid.side)
+    return Choice(first, alpha, chosen, float(reach) / scale.grid.side, overall)
 
 
-def _near(level: Level, chosen: tuple[float, ...]) -> Match:
-    """The images linearised about a field whose residual is noise."""
+def _near(level: Level, alpha: float | None) -> Array:
+    """A field whose residual is noise: what the first solve of a scale gives."""
     settings, u = level.problem.settings, level.coarse
     if settings.warps > 1:
         match = level.pair.linearise(u)
-        alpha = settings.alpha or (chosen[-1] if chosen else first_alpha(match))
+        alpha = settings.alpha or alpha or first_alpha(match)
         about = level.base + level.prescribed
         F = level.functional(match, alpha)
         u = about + multigrid(F, change=ROUGH, initial=u - about)
-    return level.pair.linearise_near(u, settings.denoising)
+    return u
+
+
+def _alike(
+    found: Sequence[tuple[Level, Array]], denoising: float | None
+) -> tuple[list[Match], dict[str, tuple[float, ...]]]:
+    """The images of parts linearised about fields, with the same numbers for all, and those.
+
+    The mean weight is that under variances which are alike already.
+    """
+    overall: dict[str, tuple[float, ...]] = {}
+    for names in (("spreads", "white", "gradient", "variances"), ("weight",)):
+        noted: list[dict[str, tuple[float, ...]]] = []
+        for level, u in found:
+            pair = replace(level.pair, overall=Overall(overall))
+            pair.linearise_near(u, denoising)
+            noted.append(pair.overall.noted)
+        for name in names:
+            values = [part[name] for part in noted if name in part]
+            if values:
+                overall[name] = tuple(float(v) for v in np.mean(values, axis=0))
+    near = [
+        replace(level.pair, overall=Overall(overall)).linearise_near(u, denoising)
+        for level, u in found
+    ]
+    return near, overall
 
 
 def _part(match: Match, window: Window) -> Match:
@@ -336,10 +375,15 @@ def _part(match: Match, window: Window) -> Match:
     return Match(grid, u, g, r, used)
 
 
-def solve(scale: Scale, tile: Tile, start: Array, alpha: float) -> tuple[Array, Trust]:
+def solve(scale: Scale, tile: Tile, start: Array, choice: Choice) -> tuple[Array, Trust]:
     """The field on the region of a tile, in true lengths, and what the images say of its core."""
-    level = scale.level(tile.region, start)
-    u = level.improve((alpha,), False).u
+    level = replace(scale, overall=Overall(choice.overall)).level(tile.region, start)
+    u = _near(level, choice.first)
+    # One solve is done.
+    settings = level.problem.settings
+    settings = settings.changed(warps=max(1, settings.warps - 1))
+    rest = replace(level, problem=replace(level.problem, settings=settings), coarse=u)
+    u = rest.improve((choice.alpha,), False).u
     pair = replace(level.pair, robust=False)
     match, inner = pair.linearise(u), tile.inner
     I1, used = pair.I1[inner], match.used[inner]
