@@ -14,10 +14,13 @@ from eofm.settings import LARGEST, LEAST
 # A highlight is so many times as high above the median as three in four local maxima are, which
 # are the brightest of squares of PEAK px; and its surroundings, px, are none the better.
 HIGHLIGHT, PEAK, MARGIN = 4.0, 5, 2
-# Where there are more of them, that is what the sample looks like.
+# Where there are more of them, that is what the sample looks like: of the whole, and of a Gaussian
+# window of a width, px. The skin is as bright, in a scan that shows air above it.
 RARE = 0.05
-# Length of a line of saturated pixels that no structure makes, px.
-LINE = 32
+ISOLATED, NEIGHBOURHOOD = 0.02, 16.0
+# Length of a line of saturated pixels that no structure makes, px, if not more than a part of the
+# pixels that touch it is saturated: structures that are clipped are ragged.
+LINE, RAGGED = 32, 0.25
 # Numbers whose sums are taken at once.
 CHUNK = 2**19
 
@@ -99,7 +102,8 @@ def defects(I: Array) -> Mask:
     """Pixels that show the detector instead of the sample: highlights and saturated lines.
 
     Saturated pixels as such are none: what is clipped where it is bright moves with the
-    sample. Neither is found where either would make up more than 5 % of the image or volume.
+    sample. Highlights stand alone, and neither is found where both would make up more than 5 % of
+    the image or volume.
     """
     # Its import takes a tenth of a short estimate.
     from scipy import ndimage
@@ -109,15 +113,34 @@ def defects(I: Array) -> Mask:
     if not peaks.size:
         return np.zeros(I.shape, dtype=bool)
     found = above > HIGHLIGHT * np.quantile(peaks, 0.75)
+    if found.any():
+        share = Window(np.ones_like(found), NEIGHBOURHOOD).mean(found.astype(above.dtype))
+        found &= share < ISOLATED
     top = (above >= np.max(above, where=~found, initial=0.0)).view(np.uint8)
     for axis in range(I.ndim if np.count_nonzero(top) >= LINE else 0):
         # A line is what a segment of LINE pixels can cover: of an opening, both steps.
         starts = ndimage.minimum_filter1d(top, LINE, axis, mode="constant")
         lines = ndimage.maximum_filter1d(starts, LINE, axis, mode="constant", origin=-1)
-        found |= lines.view(bool)
+        found |= _smooth_edged(lines.view(bool), top.view(bool))
     if not 0 < found.mean() < RARE:
         return np.zeros_like(found)
     return ndimage.binary_dilation(found, iterations=MARGIN)
+
+
+def _smooth_edged(lines: Mask, top: Mask) -> Mask:
+    """Those of some lines that few pixels touch which are saturated as well."""
+    from scipy import ndimage
+
+    label, count = ndimage.label(lines, ndimage.generate_binary_structure(lines.ndim, lines.ndim))
+    if not count:
+        return lines
+    wider = ndimage.maximum_filter(label, 3)
+    wider[lines] = 0
+    touching = np.bincount(wider.ravel(), minlength=count + 1)
+    saturated = np.bincount(wider[top], minlength=count + 1)
+    smooth: Mask = saturated <= RAGGED * touching
+    smooth[0] = False
+    return smooth[label]
 
 
 def filled(I: Array, dead: Mask) -> Array:

@@ -131,6 +131,21 @@ def test_defects_are_highlights_and_saturated_lines_and_nothing_else():
     assert defects(line(I))[40:42].all()
 
 
+def test_the_skin_is_no_defect(rng):
+    """Below air, which is all noise, a bright surface is far above most maxima, and clipped."""
+    depth = np.arange(256)[:, None] - 180 - 3 * np.sin(np.arange(200) / 9)
+    I = 0.05 * rng.random(depth.shape) + 0.3 * rng.random(depth.shape) * (depth > 0)
+    I += rng.exponential(2.0, I.shape) * ((depth > 0) & (depth < 2))
+    I += 2.0 * ((depth >= 2) & (depth < 5))
+    clipped = np.minimum(I, 1.0)
+    assert np.count_nonzero(clipped == 1) > 600
+    assert not defects(I).any()
+    assert not defects(clipped).any()
+    found = defects(line(clipped))
+    assert found[38:44].all()
+    assert not found[44:].any()
+
+
 def test_window_is_a_gaussian_average_over_a_mask(rng):
     f, mask = rng.normal(size=(60, 70)), rng.random((60, 70)) < 0.8
     x2, x1 = np.mgrid[:60, :70]
