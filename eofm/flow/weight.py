@@ -75,6 +75,7 @@ def choose_alpha(
     prescribed: Array,
     free: NDArray[np.bool_],
     start: float,
+    ease: Array | None = None,
 ) -> float:
     """Weight of the bending energy with the least misfit on held-out blocks.
 
@@ -92,12 +93,17 @@ def choose_alpha(
     free : ndarray of bool
     start : float
         First weight tried.
+    ease : ndarray, optional
+        By which the weight is divided at each pixel, see :func:`eofm.flow.roughness.ease`.
     """
     windows = _windows(match)
+    if ease is not None:
+        match = match.eased(ease)
+        windows = [(w, counts / ease[w]) for w, counts in windows]
     ridge = RIDGE * match.strength
     trials = [
-        _Trial(_cut(match, w), about[:, *w], prescribed[:, *w], free[w], fold, ridge, inner)
-        for w, inner in windows
+        _Trial(_cut(match, w), about[:, *w], prescribed[:, *w], free[w], fold, ridge, counts)
+        for w, counts in windows
         for fold in _folds(match.grid.shape, len(windows))
     ]
     misfits: dict[int, float] = {}
