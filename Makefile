@@ -4,6 +4,9 @@ CORES ?= 2
 BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest --numprocesses $(CORES) --dist loadfile --no-loadscope-reorder
 
+# Where the shell says so, each start of Python would compile the package again.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: paper test quick check docs fuzz numbers clean
 
 paper: .venv/installed

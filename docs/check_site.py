@@ -11,6 +11,7 @@ import re
 import sys
 from collections.abc import Iterator
 from html.parser import HTMLParser
+from operator import attrgetter
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
@@ -74,22 +75,27 @@ def missing_examples(root: Path) -> Iterator[str]:
 
 
 def undocumented(root: Path) -> Iterator[str]:
-    """Public names without a page, and functions whose parameters or examples are missing."""
+    """Public names without a page or words, and functions whose parameters or examples are missing.
+
+    Functions that read and write files are public too; few examples need more than two of them.
+    """
     used = json.loads((DOCS / "gallery/backreferences/backreferences_all.json").read_text())
-    for name in eofm.__all__:
-        thing = getattr(eofm, name)
-        page = root / f"reference/generated/eofm.{name}.html"
+    files = (f"io.{name}" for name in sorted(vars(eofm.io)) if name.startswith(("read_", "write_")))
+    for name in [*eofm.__all__, *files]:
+        thing = attrgetter(name)(eofm)
         if inspect.ismodule(thing):
             continue
-        if not page.exists():
+        if not (root / f"reference/generated/eofm.{name}.html").exists():
             yield f"eofm.{name}: has no page; add it to docs/reference/api.md"
+        if not thing.__doc__:
+            yield f"eofm.{name}: has no docstring"
         if not inspect.isfunction(thing):
             continue
         said = NumpyDocString(inspect.getdoc(thing) or "")
         listed = {part for p in said["Parameters"] for part in p.name.replace("*", "").split(", ")}
         for parameter in inspect.signature(thing).parameters.keys() - listed:
             yield f"eofm.{name}: its docstring says nothing of {parameter}"
-        if not used.get(f"eofm.{name}"):
+        if name in eofm.__all__ and not used.get(f"eofm.{name}"):
             yield f"eofm.{name}: no example in docs/examples uses it"
 
 

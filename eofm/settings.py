@@ -25,8 +25,8 @@ from eofm.grid import Edge
 # Numbers beyond these have squares that are lost, or that nothing else can be added to.
 LEAST, LARGEST = 1e-30, 1e30
 
-# Pixels, and things, of which no image has more.
-FAR, MOST = 1_000_000, 10_000_000
+# Pixels, and things, of which no image has more; and sides of a sample that is computed.
+FAR, MOST, LONG = 1_000_000, 10_000_000, 20_000
 
 
 def _not_lost(value: float) -> float:
@@ -144,14 +144,18 @@ class Inclusion(Section):
     stiffness: Positive = Field(description="Young's modulus relative to the background")
 
 
+# Sides of a sample of which one is so many times another are beyond the forward model's meshes.
+SLENDER = {2: 500, 3: 100}
+
+
 class Sample(Section):
     """The sample and how it is pressed."""
 
     height: int = Field(
-        ge=8, le=FAR, description="rows of the image, which shows the whole sample, px"
+        ge=8, le=LONG, description="rows of the image, which shows the whole sample, px"
     )
-    width: int = Field(ge=8, le=FAR, description="columns of the image, px")
-    depth: Annotated[int, Field(ge=8, le=FAR)] | None = Field(
+    width: int = Field(ge=8, le=LONG, description="columns of the image, px")
+    depth: Annotated[int, Field(ge=8, le=LONG)] | None = Field(
         None, description="slices of the volume, px; none: an image"
     )
     poisson_ratio: float = Field(0.49, gt=0, lt=0.5, description="Poisson ratio of all materials")
@@ -172,11 +176,21 @@ class Sample(Section):
 
     @model_validator(mode="after")
     def _compression_fits(self) -> Self:
+        if 0 < abs(self.compression) < LEAST:
+            raise ValueError(f"compression: wants 0, or at least {LEAST:g} px")
         if abs(self.compression) >= self.height / 2:
             raise ValueError(
                 f"compression: {self.compression:g} px is half of the sample's height"
                 f" ({self.height} px) or more; linear elasticity does not hold there"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _is_no_thread(self) -> Self:
+        most = SLENDER[len(self.shape)]
+        if max(self.shape) > most * min(self.shape):
+            sides = " x ".join(str(n) for n in self.shape[::-1])
+            raise ValueError(f"{sides} px: no side may be more than {most} times another")
         return self
 
     @model_validator(mode="after")
@@ -221,6 +235,10 @@ class Phantom(Section):
     seed: int = Field(1, ge=0, description="seed of positions, sizes, brightness and noise")
 
 
+# Level of a reflector, dB: ten times what no instrument tells apart any more.
+LOUDEST = 1000
+
+
 class VirtualOct(Section):
     """The virtual OCT experiment: scatterers of the enlarged sample, a microscope, a region."""
 
@@ -262,9 +280,12 @@ class VirtualOct(Section):
                 f"margin: wants two values of at least 0 and below 0.5 (got {self.margin[0]:g},"
                 f" {self.margin[1]:g})"
             )
-        if not self.reflector_level[0] <= self.reflector_level[1]:
-            low, high = self.reflector_level
-            raise ValueError(f"reflector_level: wants low <= high (got {low:g}, {high:g})")
+        low, high = self.reflector_level
+        if not -LOUDEST <= low <= high <= LOUDEST:
+            raise ValueError(
+                f"reflector_level: wants low <= high, of at most {LOUDEST} dB (got {low:g},"
+                f" {high:g})"
+            )
         return self
 
 
@@ -396,7 +417,8 @@ class Estimation(Section):
     robust: bool = Field(
         True,
         description="whether to fit changes of brightness and contrast, to weigh residuals by"
-        " their noise, to leave out highlights and saturated lines, and to search far away",
+        " their noise, to leave out highlights, saturated lines and impulses, and to search far"
+        " away",
     )
 
     @model_validator(mode="before")
@@ -454,6 +476,11 @@ class Identification(Section):
     )
     worse: float = Field(
         1.0, ge=0, description="the same, by which the preset is better where E is refused"
+    )
+    clarity: float = Field(
+        1.7,
+        ge=0,
+        description="contrast of log E relative to its error bars below which it is refused",
     )
     epsilon: Positive = Field(0.02, description="gradient of log E that counts as an edge, 1/px")
     iterations: int = Field(30, ge=1, le=1000, description="largest number of Gauss-Newton steps")
@@ -573,6 +600,42 @@ class Pair(Measures, Scale):
             said, least = (" x ".join(map(str, n)) for n in (sides, [8] * len(sides)))
             raise ValueError(f"roi: is {said} px; wants at least {least} px")
         return self
+
+
+class Tiling(Section):
+    """How a volume is cut into parts that are estimated one by one."""
+
+    tiles: Annotated[
+        tuple[Annotated[int, Field(ge=1, le=1000)], ...], Field(min_length=3, max_length=3)
+    ] = Field(
+        description="number of tiles along the lateral, axial and elevational axis of a volume"
+    )
+    overlap: int = Field(
+        16,
+        ge=4,
+        le=1000,
+        description="how far tiles reach into each other, px; several times the length over which"
+        " the field is smoothed, which the log says",
+    )
+
+    @classmethod
+    def count(cls, text: str) -> tuple[int, ...]:
+        """Numbers of tiles from a text such as '4 4 2', elevational first, as arrays are.
+
+        Raises
+        ------
+        InputError
+            If it says something else.
+        """
+        words: list[Any] = [int(word) if word.isdecimal() else word for word in text.split()]
+        return cls.parse({"tiles": words}, "tiling").tiles[::-1]
+
+
+class PartOfScale(Section):
+    """Which tile of which scale."""
+
+    level: int = Field(0, ge=0, le=30, description="how many scales coarser than the volume's own")
+    number: int = Field(0, ge=0, le=MOST, description="number of the tile, from 0")
 
 
 class Figures(Section):

@@ -36,7 +36,7 @@ Settings of the tools that figures compare with, from `workflow/scripts/peers.py
 
 
 # Pages that may be missing.
-PERHAPS = ("formats", "reliability")
+PERHAPS = ("reliability",)
 
 # What the sources of the library were when the examples last ran.
 RECORD = "_build/code.txt"
@@ -134,8 +134,8 @@ def _row(action: argparse.Action) -> tuple[str, str]:
 
 
 def _table(rows: list[tuple[str, str]], head: tuple[str, str]) -> str:
-    lines = [head, ("---", "---"), *rows]
-    return "".join(f"| {a} | {b.replace('|', chr(92) + '|')} |\n" for a, b in lines)
+    lines = [[cell.replace("|", "\\|") for cell in row] for row in (head, ("---", "---"), *rows)]
+    return "".join(f"| {a} | {b} |\n" for a, b in lines)
 
 
 def describe_keys(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: Any) -> None:

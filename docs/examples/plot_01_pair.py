@@ -27,17 +27,17 @@ errors = eofm.relative_errors(found.u, truth)
 print(f"relative error {errors['e_rel']:.1f} %, verdict: {found.trust.verdict}")
 
 # %%
-fig, axes = plt.subplots(2, 3, figsize=(8, 4), sharex=True, sharey=True)
+fig, axes = plt.subplots(2, 3, figsize=(9, 3.8), sharex=True, sharey=True)
 for ax, image, title in zip(axes[:, 0], (before, after), ("before", "after"), strict=True):
     ax.imshow(image, cmap="gray")
     ax.set_title(title)
 for row, name in enumerate(("u1, to the right", "u2, down")):
     shown = axes[row, 1].imshow(found.u[row], cmap="viridis")
     axes[row, 1].set_title(f"{name}, px")
-    fig.colorbar(shown, ax=axes[row, 1])
+    fig.colorbar(shown, ax=axes[row, 1], shrink=0.8)
     shown = axes[row, 2].imshow(abs(found.u - truth)[row], cmap="magma", vmin=0, vmax=0.3)
-    axes[row, 2].set_title("error, px")
-    fig.colorbar(shown, ax=axes[row, 2])
+    axes[row, 2].set_title(f"error of u{row + 1}, px")
+    fig.colorbar(shown, ax=axes[row, 2], shrink=0.8)
 
 # %%
 # The error is largest at the edges, of which the images say least: a point near an edge has data on

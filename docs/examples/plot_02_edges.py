@@ -31,14 +31,15 @@ known = {
 # %%
 # A motion that is stated wrongly, here twice too large, is imposed all the same, and the field next
 # to it suffers. The verdict turns doubtful.
-fig, axes = plt.subplots(2, 3, figsize=(8, 3.6), sharex=True, sharey=True)
+fig, axes = plt.subplots(2, 3, figsize=(9, 4), sharex=True, sharey=True)
 for column, (name, what) in enumerate(known.items()):
     found = eofm.estimate_displacement(before, after, known=what)
     error = eofm.relative_errors(found.u, truth)["e_rel"]
     print(f"{name}: {error:.1f} %, {found.trust.verdict} {' '.join(found.trust.reasons)}")
-    axes[0, column].imshow(found.u[1], vmin=-3.2, vmax=0)
+    motion = axes[0, column].imshow(found.u[1], vmin=-3.2, vmax=0)
     axes[0, column].set_title(f"u2, knowing {name}")
     difference = np.hypot(*(found.u - truth))
     shown = axes[1, column].imshow(difference, cmap="magma", vmin=0, vmax=0.5)
     axes[1, column].set_title(f"error, {error:.1f} % in all")
+fig.colorbar(motion, ax=axes[0], label="px", shrink=0.8)
 fig.colorbar(shown, ax=axes[1], label="px", shrink=0.8)

@@ -38,7 +38,7 @@ fields = {
 # bulge. It does not know the inclusion; the images do.
 fig, axes = plt.subplots(2, 4, figsize=(9, 3.4), sharex=True, sharey=True)
 for column, (name, u) in enumerate(fields.items()):
-    axes[0, column].imshow(u[0], vmin=-3, vmax=3, cmap="RdBu")
+    axes[0, column].imshow(u[0], vmin=-3, vmax=3, cmap="RdBu_r")
     axes[0, column].set_title(name)
     error = np.hypot(*(u - truth))
     shown = axes[1, column].imshow(error, cmap="magma", vmin=0, vmax=1)

@@ -48,10 +48,12 @@ errors = np.array(
 fig, axes = plt.subplots(2, 2, figsize=(7, 4.6))
 for ax, (name, image) in zip(axes.flat, seconds.items(), strict=False):
     ax.imshow(image, cmap="gray")
-    ax.set_title(name)
+    ax.set_title(f"after; change: {name}")
 places = np.arange(3)
 for k, name in enumerate(settings):
     axes[1, 1].bar(places + 0.27 * (k - 1), errors[:, k], 0.25, label=name)
 axes[1, 1].set(xticks=places, xticklabels=["nothing", "ramp", "gamma"], yscale="log")
 axes[1, 1].set_title("mean error, px")
+axes[1, 1].yaxis.set_major_formatter("{x:g}")
+axes[1, 1].yaxis.set_minor_formatter("")
 axes[1, 1].legend(fontsize=7)

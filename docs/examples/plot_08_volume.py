@@ -32,7 +32,7 @@ fig, axes = plt.subplots(2, 3, figsize=(8, 3.8), sharex=True, sharey=True)
 for column, name in enumerate(("u1, lateral", "u2, axial", "u3, elevational")):
     limit = abs(truth[column]).max()
     for row, u in enumerate((found.u, truth)):
-        shown = axes[row, column].imshow(u[column, 6], cmap="RdBu", vmin=-limit, vmax=limit)
+        shown = axes[row, column].imshow(u[column, 6], cmap="RdBu_r", vmin=-limit, vmax=limit)
     axes[0, column].set_title(f"{name}, px")
     fig.colorbar(shown, ax=axes[:, column], shrink=0.7)
 axes[0, 0].set_ylabel("estimate")

@@ -32,20 +32,26 @@ rng = np.random.default_rng(1)
 empty = tuple(np.where(hole, rng.normal(0.5, 0.2, shape), image) for image in good)
 
 # %%
-cases = {"good": good, "decorrelated": decorrelated, "too large": far, "no structure": empty}
-fig, axes = plt.subplots(3, 4, figsize=(8, 5), sharex=True, sharey=True)
+cases = {
+    "as it should be": good,
+    "decorrelated": decorrelated,
+    "too large": far,
+    "no structure": empty,
+}
+fig, axes = plt.subplots(3, 4, figsize=(10, 5.2), sharex=True, sharey=True)
 for column, (name, pair) in enumerate(cases.items()):
     found = eofm.estimate_displacement(*pair)
     axes[0, column].imshow(pair[0], cmap="gray")
     axes[0, column].set_title(f"{name}: {found.trust.verdict}")
-    axes[1, column].imshow(found.u[1], vmin=-3.2, vmax=0)
+    motion = axes[1, column].imshow(found.u[1], vmin=-3.2, vmax=0)
     shown = axes[2, column].imshow(found.trust.map, cmap="cividis", vmin=0, vmax=1)
     print(f"{name}: {found.trust.verdict}")
     for reason in found.trust.reasons:
         print(f"    {reason}")
 for ax, name in zip(axes[:, 0], ("before", "u2", "trust"), strict=True):
     ax.set_ylabel(name)
-fig.colorbar(shown, ax=axes[2, 3])
+fig.colorbar(motion, ax=axes[1], label="px", shrink=0.8)
+fig.colorbar(shown, ax=axes[2], label="correlation", shrink=0.8)
 
 # %%
 # The map is the correlation of small windows after the motion. The command prints the reasons, and

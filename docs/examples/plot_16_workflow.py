@@ -50,7 +50,7 @@ subprocess.run(command, cwd=folder, check=True, env=environment, capture_output=
 # %%
 turn = eofm.io.read_image(folder / "turn.tif")
 fig, ax = plt.subplots(figsize=(5.5, 3))
-shown = ax.imshow(turn, cmap="RdBu", vmin=-4, vmax=4)
+shown = ax.imshow(turn, cmap="RdBu_r", vmin=-4, vmax=4)
 fig.colorbar(shown, label="degrees, clockwise", shrink=0.8)
 ax.set_title("rotation of the material")
 print(f"turned by up to {np.abs(turn).max():.1f} degrees")

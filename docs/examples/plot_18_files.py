@@ -35,25 +35,26 @@ pair = eofm.Pair(
 )
 scene = eofm.read_scene(pair)
 results = eofm.analyse(*scene.frames, known=scene.known, sample=scene.sample, measures=pair)
-for key in ("u2_range_um", "axial_strain_mean", "forward_backward_error_median_px"):
-    print(f"{key}: {results.summary[key]}")
 
 # %%
-# All files appear together, or none does. ``report.html`` is one page that explains the others.
-(folder / "mine").mkdir()
-results.write(folder / "mine", pair.files, kinds=("png",))
-for path in sorted((folder / "mine").iterdir()):
+# All files appear together, or none does. ``report.html`` is one page that explains the others;
+# ``results.vti`` opens in ParaView, ``images.tif`` is what to lay results over, and
+# ``eofm view mine`` shows all of it in napari: see :doc:`/howto/viewers`.
+mine = folder / "mine"
+mine.mkdir()
+results.write(mine, pair.files, kinds=("png",))
+for path in sorted(mine.iterdir()):
     print(f"{path.name:28} {path.stat().st_size:8} bytes")
 
 # %%
 # The strain, as it was written to ``strain.png``: the inclusion is strained less, and so are the
 # layers at the plates, where the sample cannot bulge.
-picture = plt.imread(folder / "mine/strain.png")
-fig, ax = plt.subplots(figsize=(9, 9 * picture.shape[0] / picture.shape[1]), dpi=150)
-ax.imshow(picture)
-ax.axis("off")
+picture = plt.imread(mine / "strain.png")
+fig = plt.figure(figsize=(picture.shape[1] / 110, picture.shape[0] / 110), layout="none")
+fig.add_axes((0, 0, 1, 1)).imshow(picture)
+fig.gca().axis("off")
 
 # %%
 # Fields are float TIFFs with a page for each component, which Fiji and any TIFF reader open.
-u1, u2 = tifffile.imread(folder / "mine/displacement_um.tif")
+u1, u2 = tifffile.imread(mine / "displacement_um.tif")
 print(f"u2 from {u2.min():.1f} to {u2.max():.1f} um")

@@ -47,5 +47,5 @@ for k, (ax, title) in enumerate(zip(axes, ("e11", "e22", "e12"), strict=True)):
     i, j = ((0, 0), (1, 1), (0, 1))[k]
     ax.barh(measures, [100 * found[name][k] for name in measures])
     ax.plot([100 * truth[name][i, j] for name in measures], range(4), "k|", ms=18)
-    ax.set(title=f"{title}, percent; | true")
+    ax.set(title=f"{title}, % (black: the truth)")
 axes[0].invert_yaxis()

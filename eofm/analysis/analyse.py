@@ -269,7 +269,7 @@ def _step(
             deviation, modulus_deviation = deviations(stiffness, samples=error_bars)
         # What the way there has learnt, the way back knows too.
         edges = {edge: stiffness.scale * g for edge, g in known.edges.items()}
-        u_bg = known.background if stiffness.refused else stiffness.elastic
+        u_bg = known.background if stiffness.alone else stiffness.elastic
         known = replace(known, background=u_bg, edges=edges)
     back = known.backwards(I2.shape)
     again = estimation.changed(alpha=estimate.alpha)

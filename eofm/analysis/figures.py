@@ -15,6 +15,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from eofm.analysis.findings import ASTRAY, SHORT
 from eofm.analysis.panels import (
     SHARE,
     Look,
@@ -26,6 +27,7 @@ from eofm.analysis.panels import (
     show,
     unit_name,
 )
+from eofm.analysis.sections import Sections
 from eofm.analysis.tensors import pairs
 from eofm.grid import Array
 from eofm.io import replacing
@@ -98,7 +100,7 @@ def compare_errors(
             errors = {name: np.abs(u[i] - truth[i]) for name, u in fields.items()}
             limits = (0.0, max(float(error.max()) for error in errors.values()) or 1.0)
             for axis, (name, error) in zip(axes[i], errors.items(), strict=True):
-                title = f"{name}: error of $u_{i + 1}$ {_at_most(error, i, settings)}"
+                title = f"{name}: error of $u_{i + 1}$, {_at_most(error, i, settings)}"
                 _draw(axis, error, title, "magma_r", i, limits, settings)
         name_axes(axes, settings)
     return figure
@@ -132,7 +134,7 @@ def field_and_error(
         for i in range(n):
             draw_component(axes[i, 0], estimate[i], i, _limits(truth[i], i), settings)
             error = np.abs(estimate[i] - truth[i])
-            title = f"absolute error of $u_{i + 1}$ {_at_most(error, i, settings)}"
+            title = f"absolute error of $u_{i + 1}$, {_at_most(error, i, settings)}"
             _draw(axes[i, 1], error, title, "magma_r", i, (0, largest), settings)
             if deviation is not None:
                 _draw_deviation(axes[i, 2], deviation[i], i, settings)
@@ -141,15 +143,15 @@ def field_and_error(
 
 
 def strains(e: Array, settings: Figures, measure: str = "small") -> Figure:
-    """Normal and shear strains, in percent; the range leaves out 1 % at either end."""
+    """Normal and shear strains, in percent, on one scale, which leaves out 1 % at either end."""
     n = e.ndim - 1
     of = "" if measure == "small" else f" ({measure})"
+    largest = max(*(float(np.nanpercentile(np.abs(100 * part), 99)) for part in e), 1e-6)
+    look = Look("RdBu_r", (-largest, largest), "%")
     with mpl.rc_context(STYLE):
         figure, axes = panels(len(e) // 3, 3, e.shape[1:], settings)
         for axis, values, (i, j) in zip(axes.flat, 100 * e, pairs(n), strict=True):
             name = f"{NAMES[i]} strain" if i == j else "shear strain"
-            largest = max(float(np.nanpercentile(np.abs(values), 99)), 1e-6)
-            look = Look("RdBu_r", (-largest, largest), "%")
             show(axis, values, f"{name} $e_{{{i + 1}{j + 1}}}${of}", look, settings)
         name_axes(axes, settings)
     return figure
@@ -164,7 +166,7 @@ def quality(maps: Mapping[str, Array], settings: Figures) -> Figure:
     residual, inconsistency, *_ = maps.values()
     unit = _mean_side(settings, residual.ndim)
     largest = max(float(np.nanpercentile(np.abs(residual), 99)), 1e-6)
-    worst = max(float(np.nanpercentile(inconsistency, 99)), 1e-3)
+    worst = max(float(np.nanpercentile(inconsistency, 99)), ASTRAY)
     looks = [
         Look("PuOr", (-largest, largest)),
         Look("magma_r", (0, worst * unit), unit_name(settings)),
@@ -177,6 +179,20 @@ def quality(maps: Mapping[str, Array], settings: Figures) -> Figure:
         shown = zip(axes.flat, maps.items(), factors, looks, strict=True)
         for axis, (title, values), factor, look in shown:
             show(axis, factor * values, title, look, settings)
+        name_axes(axes, settings)
+    return figure
+
+
+def sections(
+    rows: Sequence[Sequence[tuple[str, Sections, Look]]], settings: Figures = Figures()
+) -> Figure:
+    """Rows of sections of volumes, each with its title and its look."""
+    shape = rows[0][0][1].shape
+    with mpl.rc_context(STYLE):
+        figure, axes = panels(len(rows), max(map(len, rows)), shape, settings)
+        for (i, j), axis in np.ndenumerate(axes):
+            title, values, look = rows[i][j]
+            show(axis, values, title, look, settings)
         name_axes(axes, settings)
     return figure
 
@@ -256,13 +272,13 @@ def _draw(
 
 def _draw_deviation(axis: Axes, deviation: Array, i: int, settings: Figures) -> None:
     factor = scale(settings, deviation.ndim)[i]
-    largest = factor * max(float(np.percentile(deviation, 99.5)), 1e-6)
+    largest = factor * max(float(np.percentile(deviation, 99.5)), SHORT)
     look = Look("magma_r", (0, largest), unit_name(settings))
     show(axis, factor * deviation, f"standard deviation of $u_{i + 1}$", look, settings)
 
 
 def _at_most(error: Array, i: int, settings: Figures) -> str:
-    return f"≤ {error.max() * scale(settings, error.ndim)[i]:.2f} {unit_name(settings)}"
+    return f"≤ {error.max() * scale(settings, error.ndim)[i]:.2f}"
 
 
 def _mean_side(settings: Figures, ndim: int) -> float:

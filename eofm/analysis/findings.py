@@ -4,10 +4,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from eofm.imaging.intensity import LINEAR
+
 # Above these a finding is a doubt: share held by the regulariser, forward-backward error in px,
 # share of the residual that is left, share of bubbles lost, motion as a part of the reach,
 # distance in robust ranges.
 HELD, ASTRAY, LEFT, LOST, NEAR = 0.25, 0.25, 0.8, 0.6, 0.7
+# Error bars up to this, px, are drawn in pale colours: good looks good.
+SHORT = 0.1
 NAMES = ("lateral", "axial", "elevational")
 # Which way components run.
 WAYS = (("to the left", "to the right"), ("upwards", "downwards"), ("to the front", "to the back"))
@@ -73,7 +77,19 @@ def found(summary: dict[str, Any]) -> list[str]:
 
 def doubts(summary: dict[str, Any]) -> list[Finding]:
     """What to doubt and what bears the result out, doubts first."""
-    checks = (_trusted, _left, _back, _held, _near, _bubbles, _defects, _dead, _scale, _stiffness)
+    checks = (
+        _trusted,
+        _left,
+        _back,
+        _held,
+        _near,
+        _bubbles,
+        _defects,
+        _dead,
+        _scale,
+        _linear,
+        _stiffness,
+    )
     findings = [finding for check in checks for finding in check(summary)]
     order = ("doubt", "note", "good")
     return sorted(findings, key=lambda finding: order.index(finding.level))
@@ -98,11 +114,15 @@ def _motion(summary: dict[str, Any], units: Units) -> Iterator[str]:
 
 def _strain(summary: dict[str, Any]) -> str:
     axial = summary["strains"]["e22 axial"]
-    word = "compressed" if axial["mean"] < 0 else "stretched"
-    return (
-        f"It is {word} along the depth by {abs(axial['mean']):.2%} in the mean, locally by"
-        f" {_percent(-axial['high'])} to {_percent(-axial['low'])} (negative: stretched)."
-    )
+    ends = (-axial["high"], -axial["low"])
+    word, other = "compressed", "stretched"
+    if axial["mean"] > 0:
+        ends, word, other = (axial["low"], axial["high"]), other, word
+    least, most = (_percent(end) for end in ends)
+    text = f"It is {word} along the depth by {abs(axial['mean']):.2%} in the mean"
+    if least != most:
+        text += f", locally by {least} to {most}"
+    return text + (f" (negative: {other})." if ends[0] < 0 else ".")
 
 
 def _percent(value: float) -> str:
@@ -217,6 +237,16 @@ def _scale(summary: dict[str, Any]) -> Iterator[Finding]:
             "The size of a pixel was not said, so lengths are in px.",
             "Neither the files nor you say it; --lateral-size and --axial-size do, in um. Strains"
             " are right if pixels are square.",
+        )
+
+
+def _linear(summary: dict[str, Any]) -> Iterator[Finding]:
+    if summary["looks_linear"]:
+        yield Finding(
+            "note",
+            f"The first image {LINEAR}.",
+            "Try the logarithm, --intensity log, and compare: it helps most where the image fades"
+            " with depth.",
         )
 
 

@@ -112,7 +112,8 @@ def _vectors(u: Array) -> Layer:
     vectors = np.stack([at.T, way.T], axis=1)[known].astype(np.float64)
     longest = float(np.linalg.norm(vectors[:, 1], axis=1).max(initial=1e-9))
     more = {"name": "displacement", "length": max(1.0, step / longest), "edge_color": "orange"}
-    return vectors, {**more, "edge_width": max(0.2, step / 8), "visible": True}, "vectors"
+    looks = {"edge_width": max(0.2, step / 8), "vector_style": "arrow", "visible": True}
+    return vectors, more | looks, "vectors"
 
 
 def _bubbles(path: Path, n: int) -> Iterator[Layer]:

@@ -14,12 +14,14 @@ import numpy as np
 
 from eofm.analysis import findings, pictures
 from eofm.analysis.analyse import Analysis
-from eofm.analysis.findings import NAMES, Units
+from eofm.analysis.findings import ASTRAY, NAMES, SHORT, Units
 from eofm.analysis.summary import HELD, held
 from eofm.analysis.tensors import invariants, labels
 from eofm.grid import Array
 
 TEMPLATE = "page.html"
+# What stands above the findings, by the level of the first one.
+HEADINGS = {"doubt": "What to doubt", "note": "What to know", "good": "Why to trust it"}
 
 
 def page(results: Analysis, title: str, images: Sequence[str] = (), made: str = "") -> str:
@@ -46,7 +48,6 @@ def page(results: Analysis, title: str, images: Sequence[str] = (), made: str = 
         subtitle += "; sections through the middle: from in front, from the side, from above"
     named = ", ".join(escape(name) for name in images)
     doubts = findings.doubts(summary)
-    sure = all(finding.level == "good" for finding in doubts)
     sections = (_pair, _displacement, _strain, _trust, _stiffness, _table)
     maker = Maker(results, units)
     return Template(_template()).substitute(
@@ -57,7 +58,7 @@ def page(results: Analysis, title: str, images: Sequence[str] = (), made: str = 
         verdict=findings.verdict(summary),
         subtitle=f"{named + ': ' if named else ''}{subtitle}",
         found="".join(f"<li>{escape(text)}</li>" for text in findings.found(summary)),
-        heading="Why to trust it" if sure else "What to doubt",
+        heading=HEADINGS[doubts[0].level],
         doubts="".join(map(_finding, doubts)),
         sections="\n".join(part for section in sections for part in section(maker)),
         footer=escape(made),
@@ -154,7 +155,7 @@ def _displacement(maker: Maker) -> Iterator[str]:
         maps.append(maker.figure(f"{NAMES[i]} u{i + 1}", values, colours, (low, high), unit))
         if results.deviation is not None:
             bars = factor * results.deviation[i]
-            top = maker.largest(bars, 99.5)
+            top = max(maker.largest(bars, 99.5), SHORT * factor)
             title = f"error bar of u{i + 1}"
             about = "one standard deviation"
             maps.append(maker.figure(title, bars, "magma_r", (0, top), unit, about=about))
@@ -170,15 +171,15 @@ def _displacement(maker: Maker) -> Iterator[str]:
 def _strain(maker: Maker) -> Iterator[str]:
     results, measure = maker.results, maker.results.summary["strain_measure"]
     n = results.first.ndim
-    maps = []
-    for name, values in zip(labels(n), results.strain, strict=True):
-        top = 100 * maker.largest(values)
-        maps.append(maker.figure(name, 100 * values, "RdBu_r", (-top, top), "%"))
     derived = invariants(results.strain, measure)
-    for name in list(derived)[-2:]:
-        values = 100 * derived[name]
-        top = maker.largest(values)
-        limits, colours = ((0.0, top), "magma_r") if "shear" in name else ((-top, top), "RdBu_r")
+    shown = dict(zip(labels(n), 100 * results.strain, strict=True))
+    shown |= {name: 100 * derived[name] for name in list(derived)[-2:]}
+    # One scale for all: what is next to nothing beside the others looks so.
+    top = max(maker.largest(values) for values in shown.values())
+    maps = []
+    for name, values in shown.items():
+        one_way = name == "maximum shear"
+        limits, colours = ((0.0, top), "magma_r") if one_way else ((-top, top), "RdBu_r")
         maps.append(maker.figure(name, values, colours, limits, "%"))
     window = results.summary["strain_window_um"]
     yield _section(
@@ -196,7 +197,7 @@ def _trust(maker: Maker) -> Iterator[str]:
     back, left = side * step.inconsistency, results.residual
     most = maker.largest(left)
     # The whole range in px is shown while nothing is far off, so that good looks good.
-    worst = max(side * findings.ASTRAY, maker.largest(back))
+    worst = max(side * ASTRAY, maker.largest(back))
     maps = [
         maker.figure(
             "match of the images", results.trust.map, "cividis", (0, 1), about="correlation"
@@ -214,7 +215,7 @@ def _trust(maker: Maker) -> Iterator[str]:
     ]
     yield _section(
         "Where to trust it",
-        "Bright in the match is well. Where it is dark, where the field is filled in, or where the"
+        "A bright match is a good one. Where it is dark, where the field is filled in, or where the"
         " way back misses the start, do not read the maps above.",
         maps,
         wide=True,
@@ -263,7 +264,7 @@ def _numbers(results: Analysis, units: Units) -> Iterator[tuple[str, tuple[str, 
         live = u[~results.dead]
         values = (live.min(), live.mean(), live.max())
         for unit, factor in {"px": 1.0, units.name: units.factor(i)}.items():
-            cells = (*(f"{factor * v:.4g}" for v in values), unit)
+            cells = (*(f"{factor * v:.3g}" for v in values), unit)
             yield f"{NAMES[i]} displacement u{i + 1}", cells
     for i, bar in enumerate(summary.get("deviation_median_px", ())):
         cells = ("", f"{units.factor(i) * bar:.3g}", "", units.name)
@@ -277,8 +278,9 @@ def _numbers(results: Analysis, units: Units) -> Iterator[tuple[str, tuple[str, 
     yield "difference after the motion", _one(summary["residual_rms"], "of range")
     yield "share of the images, median", _one(100 * summary["share_of_data_median"], "%")
     yield "held by the regulariser alone", _one(100 * summary["share_held_by_regulariser"], "%")
-    yield "bubbles followed", _one(sum(summary["bubbles"]), f"of {sum(summary['bubbles_found'])}")
-    yield "weight of the smoothness", _one(summary["alpha"][-1], "")
+    followed, of = sum(summary["bubbles"]), sum(summary["bubbles_found"])
+    yield "bubbles followed", ("", f"{followed}", "", f"of {of}")
+    yield "weight of the smoothness", ("", f"{summary['alpha'][-1]:.4g}", "", "")
     for i, side in enumerate(summary["pixel_size_um"] if units.name != "px" else ()):
         yield f"{NAMES[i]} side of a pixel", _one(side, "µm")
 

@@ -20,7 +20,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from eofm.analysis.sections import picture, side
+from eofm.analysis.sections import Sections, picture, side
 from eofm.grid import Array
 from eofm.settings import Figures
 
@@ -82,7 +82,7 @@ def panels(
     return figure, axes
 
 
-def show(axis: Axes, values: Array, title: str, look: Look, settings: Figures) -> None:
+def show(axis: Axes, values: Array | Sections, title: str, look: Look, settings: Figures) -> None:
     """Draw values with a title and a colour bar; grey where there is none."""
     ndim = values.ndim
     shown = picture(values, settings.sides(ndim))
@@ -152,7 +152,7 @@ def name_axes(axes: NDArray, settings: Figures) -> None:
 
 def _lengths(shape: tuple[int, ...], settings: Figures) -> tuple[float, float]:
     """Width and height of a picture in true lengths."""
-    rows, columns = picture(np.empty(shape, np.uint8), settings.sides(len(shape))).shape
+    rows, columns = picture(np.broadcast_to(np.uint8(0), shape), settings.sides(len(shape))).shape
     p1, p2 = side(settings.sides(len(shape)), len(shape))
     return columns * p1, rows * p2
 

@@ -14,6 +14,7 @@ from eofm.elasticity.forward import deform
 from eofm.errors import InputError
 from eofm.flow.known import Known
 from eofm.grid import FACES, Array, Edge, faces
+from eofm.imaging.intensity import advise_logarithm
 from eofm.settings import Pair, Region, Sample
 
 logger = logging.getLogger("eofm")
@@ -77,7 +78,7 @@ def read_scene(pair: Pair) -> Scene:
     frames, pixel_size = _frames(pair)
     sides = pixel_size.sides if pixel_size else None
     shape = frames.shape[1:]
-    roi = _roi(pair, shape)
+    roi = region_of_interest(pair, shape)
     window = Place.of(roi, (*[0] * len(shape), *shape[::-1])).window
     dead = _dead(pair, shape)[window]
     if dead.all():
@@ -86,6 +87,8 @@ def read_scene(pair: Pair) -> Scene:
     if dead.any():
         # What a mask hides must not stretch the grey scale.
         frames[:, dead] = np.median(frames[:, ~dead])
+    if pair.intensity == "linear":
+        advise_logarithm(frames[0])
     place = Place.of(roi, _extent(pair, roi))
     sample = _sample(pair, place.whole)
     on = faces(len(shape))
@@ -144,7 +147,7 @@ def _scaled(pair: Pair, frames: Array) -> Array:
     return frames
 
 
-def _roi(pair: Pair, shape: tuple[int, ...]) -> tuple[int, ...]:
+def region_of_interest(pair: Pair, shape: tuple[int, ...]) -> tuple[int, ...]:
     """Region of interest in images, or volumes, of a shape."""
     whole = (*[0] * len(shape), *shape[::-1])
     roi = _region("roi", pair.roi, whole)

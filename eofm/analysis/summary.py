@@ -11,7 +11,7 @@ from eofm.analysis.tensors import invariants, labels
 from eofm.errors import InputError
 from eofm.flow.start import REACH
 from eofm.grid import Array, Mask
-from eofm.imaging.intensity import defects, filled
+from eofm.imaging.intensity import defects, filled, looks_linear
 from eofm.settings import Estimation, Measures
 
 if TYPE_CHECKING:
@@ -89,6 +89,7 @@ def of_images(
         "residual_rms_without_motion": without,
         "share_of_data_median": float(np.median(share)),
         "share_held_by_regulariser": float(held(share, match)[~dead].mean()),
+        "looks_linear": looks_linear(frames[0]),
         "defect_share": [float((defects(filled(I, dead)) & ~dead).mean()) for I in frames],
     }
 

@@ -27,6 +27,7 @@ from eofm.app.options import (
     sections_of,
     writes,
 )
+from eofm.app.tiles import TILED
 from eofm.errors import InputError
 from eofm.settings import (
     Estimation,
@@ -51,14 +52,20 @@ FAILED = 3
 DESCRIPTION = """\
 Displacement of soft samples between an image before and one after compression.
 
-  eofm track before.tif after.tif --output bubbles.csv
-  eofm estimate before.tif after.tif --bubbles bubbles.csv --output displacement.tif
+  eofm estimate before.tif after.tif --output displacement.tif
 
 Displacements are in px: page 1 of the TIFF is lateral (to the right), page 2 axial
-(down). Each step has a --help of its own.
+(down). Strain, error bars, figures and a page that explains them, in micrometres:
+
+  eofm sample --reference before.tif --deformed after.tif --folder mine \\
+      --lateral-size 3.9 --axial-size 6
+
+Each step has a --help of its own.
 """
 
-Before = Annotated[Path, reads("image before compression (greyscale TIFF)")]
+Before = Annotated[
+    Path, reads("image before compression: TIFF, PNG, NumPy, MATLAB, HDF5 and others")
+]
 After = Annotated[Path, reads("image after compression, of the same size")]
 Field = Annotated[Path, writes("field to write (TIFF)")]
 Bubbles = Annotated[Path | None, reads("table of tracked bubbles (CSV)")]
@@ -187,9 +194,11 @@ def estimate(
     """
     from eofm.flow.estimate import estimate_displacement
     from eofm.flow.known import Known
+    from eofm.imaging.intensity import advise_logarithm
 
     first, second = io.read_scans(reference, deformed)
     I1, I2 = first.values, second.values
+    advise_logarithm(I1)
     size = io.pixel_size({str(reference): first, str(deformed): second}, I1.ndim, scale.sides)
     sides = size.sides if size else None
     known = Known(
@@ -282,10 +291,10 @@ def sample(
           --lateral-size 3.9 --axial-size 6 --top fixed --bottom 'moved 0 -30 um' \
           --background elastic --poisson-ratio 0.48
 
-    Writes displacement.tif (px) and displacement_um.tif, its standard deviation, strain.tif,
-    bubbles.csv, summary.json and figures, all of them or nothing; with --stiffness true also
-    the relative modulus of a sample that is wholly in the image. Edges of which nothing is said
-    are free. Settings may come from a file (YAML, names as the options') where they are many;
+    Writes report.html, which explains the rest, displacement.tif (px) and displacement_um.tif, its
+    standard deviation, strain.tif, bubbles.csv, summary.json, results.vti and figures, all of them
+    or nothing; with --stiffness true also the relative modulus. Edges of which nothing is said are
+    free. Settings may come from a file (YAML, names as the options') where they are many;
     options win. Where the images do not bear the estimate out, it says why; if they contradict
     it, the exit status is 3.
     """
@@ -352,6 +361,7 @@ STEPS: tuple[Step, ...] = (
     view,
     stiffness,
     evaluate,
+    *TILED,
 )
 
 

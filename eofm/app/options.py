@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Literal, get_args, get_origin
 
 from eofm import io
 from eofm.errors import InputError
@@ -122,12 +122,21 @@ def add_options(parser: argparse.ArgumentParser, step: Step) -> None:
                 note += f"; paper: {PAPER[name]}"
             group.add_argument(
                 f"--{name.replace('_', '-')}",
-                metavar="VALUE",
+                metavar=_value(field.annotation),
                 nargs="*" if section.takes_many(name) else None,
                 type=parse_optional if default in NONE else parse_value,
                 default=argparse.SUPPRESS,
                 help=f"{field.description} ({note})",
             )
+
+
+def _value(annotation: Any) -> str:
+    """What help writes for the value of an option: its choices, where there are few."""
+    if get_origin(annotation) is tuple:
+        annotation = get_args(annotation)[0]
+    if annotation is bool:
+        return "true|false"
+    return "|".join(get_args(annotation)) if get_origin(annotation) is Literal else "VALUE"
 
 
 def parse_value(text: str) -> Any:

@@ -3,6 +3,7 @@
 As in `eofm.elasticity.forward`, on triquadratic bricks whose equations are solved without a matrix.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -23,6 +24,7 @@ from eofm.grid import (
     geometric_mean,
     precision,
 )
+from eofm.io.limits import check_memory
 from eofm.settings import Sample
 from eofm.threads import serial
 
@@ -33,6 +35,8 @@ MESHES = (8, 12, 18, 27, 40)
 GRADING = 3
 # Points along each side of a brick over which its modulus is averaged.
 POINTS = 4
+# Memory that a brick takes in the solver and on its way to the voxels, bytes.
+BRICK = 2_200
 # Positions along each side at which two meshes are compared, denser towards the faces.
 PROBES = 40
 
@@ -102,9 +106,22 @@ def press_box(sample: Sample, motion: Motion, cell: float, slip: bool = False) -
     """
     lengths = Grid(sample.shape).lengths
     numbers = [max(2, round(length / cell)) for length in lengths]
+    check_cells(numbers, BRICK)
     sides = tuple(np.full(n, length / n) for length, n in zip(lengths, numbers, strict=True))
     bricks = Bricks(sides, _lame(sample), np.stack(list(_moduli(sample, sides))))
     return _solve(bricks, motion, (1.0, 1.0, 1.0), slip).on_voxels(sample.shape)
+
+
+def check_cells(numbers: Sequence[int], each: int) -> None:
+    """Refuse a mesh with so many cells along its sides, of which each takes so many bytes.
+
+    Raises
+    ------
+    InputError
+        If there is less memory.
+    """
+    what = f"{' x '.join(f'{n:.6g}' for n in numbers)} elements"
+    check_memory(what, math.prod(numbers) * each, "take larger ones (true_cell)")
 
 
 def graded(cells: int) -> Array:

@@ -25,9 +25,10 @@ from skfem import (
 )
 from skfem.helpers import ddot, div, sym_grad
 
-from eofm.elasticity.box import deform_box, press_box
+from eofm.elasticity.box import check_cells, deform_box, press_box
 from eofm.elasticity.material import lame
 from eofm.grid import FACES, Array, Edge, Grid, along_face, componentwise, unit_spacing
+from eofm.io.limits import check_size
 from eofm.settings import Forward, Sample
 
 Spacing = tuple[float, ...]
@@ -38,6 +39,8 @@ CELLS = {2: 1.0, 3: 3.0}
 # RATIO. The last one is as large as a profile of motion that is rough ever gets.
 RATIO = 1.5
 MESHES = (16, 24, 36, 54, 81, 122)
+# Memory that a cell takes in the factors of a square mesh of 400 x 400 cells, bytes.
+CELL = 40_000
 # Cells shrink towards the corners, where stress is singular, with this power of the distance:
 # the rate of the elements is three, and displacements grow like r^0.6 and more.
 GRADING = 3
@@ -115,6 +118,7 @@ def displacement(sample: Sample, cell: float) -> Array:
     ndarray, shape (2, height, width) or (3, depth, height, width)
         ``u`` with ``-div sigma(u) = 0`` at the pixel centres, px.
     """
+    check_size("the sample", (2, *sample.shape))
     slip = sample.contact == "slip"
     if sample.depth is not None:
         return press_box(sample, press(sample), cell, slip)
@@ -156,6 +160,7 @@ def deform(
     ndarray, shape (2, height, width) or (3, depth, height, width)
         At the pixel centres, px.
     """
+    check_size("the sample", (2, *sample.shape))
     sample = sample.changed(inclusions=())
     spacing = unit_spacing(pixel_size[: len(sample.shape)])
     if sample.depth is not None:
@@ -182,11 +187,16 @@ def make_basis(sample: Sample, cell: float, spacing: Spacing = (1.0, 1.0)) -> Ba
     """Biquadratic vector elements on a uniform mesh with cells of about ``cell``.
 
     Lengths are those of pixels with sides ``spacing`` = (lateral, axial).
+
+    Raises
+    ------
+    InputError
+        If they take more memory than there is.
     """
-    return _basis(
-        np.linspace(0, length, max(2, round(length / cell)) + 1)
-        for length in Grid(sample.shape, spacing).lengths
-    )
+    lengths = Grid(sample.shape, spacing).lengths
+    numbers = [max(2, round(length / cell)) for length in lengths]
+    check_cells(numbers, CELL)
+    return _basis(np.linspace(0, x, n + 1) for x, n in zip(lengths, numbers, strict=True))
 
 
 def graded_basis(sample: Sample, cells: int, spacing: Spacing = (1.0, 1.0)) -> Basis:

@@ -8,6 +8,7 @@ costs one banded factorisation. The truth of the phantoms comes from other eleme
 finer mesh, see `eofm.elasticity.forward`.
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,9 +19,12 @@ from scipy.interpolate import make_interp_spline
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from eofm.elasticity.material import lame
+from eofm.errors import InputError
 from eofm.grid import FACES, Array, Edge, along_face
 from eofm.settings import Sample
 
+# Elements of a pixel, at most.
+FINEST = 4
 # Part of the mean diagonal that is added to a band matrix; it decides what nothing else does.
 RIDGE = 1e-9
 
@@ -53,9 +57,20 @@ class Elastic:
 
     @cached_property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns of elements."""
+        """Rows and columns of elements.
+
+        Raises
+        ------
+        InputError
+            If they are much smaller than pixels.
+        """
         lengths = ((n - 1) * h for n, h in zip(self.sample.shape, self.spacing[::-1], strict=True))
         rows, columns = (max(3, round(length / self.cell)) for length in lengths)
+        if rows * columns > FINEST * math.prod(self.sample.shape):
+            raise InputError(
+                f"cell: {self.cell:g} px is too small to be seen in pixels; wants at least"
+                f" {FINEST**-0.5:g} px"
+            )
         return rows, columns
 
     @cached_property

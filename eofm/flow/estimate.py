@@ -223,7 +223,8 @@ def best_start(problem: Problem, number: int, pairs: Sequence[ImagePair], u: Arr
 
     Blocks are matched on a grid that is fine enough for many of them.
     """
-    pair, fine = pairs[number], pairs[largest_small(problem.grids)]
+    # Of a volume in tiles, the finest scales are not there.
+    pair, fine = pairs[number], pairs[min(largest_small(problem.grids), len(pairs) - 1)]
     I1, I2 = (normalise_locally(I, (COARSE,) * I.ndim) - 0.5 for I in (fine.I1, fine.I2))
     matched = match_blocks(I1, I2, fine.grid)
     if matched is None:

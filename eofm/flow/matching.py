@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from eofm.flow.functional import Pointwise, data_term
-from eofm.grid import Array, Grid, Mask, precision
+from eofm.grid import Array, Grid, Mask, componentwise, precision
 from eofm.imaging.gaussian import blur
 from eofm.imaging.intensity import Window
 from eofm.imaging.splines import Spline
@@ -17,6 +17,8 @@ from eofm.imaging.splines import Spline
 BLOCK = 8
 # Width of the filter of white noise, and below which there is none, samples.
 WHITE, SHARP = 0.6, 0.2
+# Whiteness of noise that is white, but for what a spline between pixels makes of it.
+ALL_WHITE = 0.8
 # Share of data at a place between pixels that carry data and others.
 LIVE = 0.9
 TINY = float(np.finfo(np.float32).tiny)
@@ -135,7 +137,8 @@ class Match:
             g, g2, (r,) = _smooth((g1, g2, r[None]), self.used, width)
         around = Window(self.used, NOISE)
         common = around.mean(_dot(g, g2))
-        g = 0.5 * ((1 + white) * g + (1 - white) * g2)
+        alone = min(1.0, white / ALL_WHITE)
+        g = 0.5 * ((1 + alone) * g + (1 - alone) * g2)
         own = around.mean(_dot(g, g))
         common /= own + LEAST_VARIANCE * LEAST_SHARE * own.mean() + TINY
         g *= np.clip(common, LEAST_SHARE, 1, out=common)
@@ -191,6 +194,8 @@ class ImagePair:
     straight : bool
         Whether images go on beyond their edges as they are, see :class:`Spline`, where a mirror
         would level them: that alone is half of the error at the edges of clean images.
+    offset : tuple of int, optional
+        Where the grid begins in I2, samples, lateral first, if that shows more than the grid.
     """
 
     grid: Grid
@@ -201,6 +206,7 @@ class ImagePair:
     mean: bool
     robust: bool = False
     straight: bool = False
+    offset: tuple[int, ...] = ()
 
     def linearise(self, u: Array) -> Match:
         """Return the images linearised about a displacement."""
@@ -217,6 +223,8 @@ class ImagePair:
     def _linearise(self, u: Array) -> tuple[Match, Array, Array]:
         """Images linearised about a displacement, the gradient of I1, and local contrast."""
         samples, after = self.grid.samples(u), Spline(self.I2, self.straight)
+        if any(self.offset):
+            samples = samples + componentwise(self.offset, self.grid.ndim)
         if self.mean:
             warped, g, inside = after.warp_with_gradient(samples, self.grid.spacing)
         else:

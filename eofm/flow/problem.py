@@ -13,7 +13,7 @@ from eofm.flow.matching import ImagePair, Match
 from eofm.flow.multigrid import multigrid
 from eofm.flow.pyramid import pyramid, sampled, solving
 from eofm.flow.roughness import ease
-from eofm.flow.weight import choose_alpha, combined, enough, first_alpha
+from eofm.flow.weight import choose_alpha, enough, first_alpha
 from eofm.grid import (
     FACES,
     Array,
@@ -184,13 +184,14 @@ class Level:
         for warp in range(settings.warps):
             del F  # what is not needed any more makes room: of volumes it is the half
             match = self._linearised(u, self.still and warp == 0, warp >= near)
-            alpha = settings.alpha or combined(chosen) or first_alpha(match)
+            alpha = settings.alpha or (chosen[-1] if chosen else first_alpha(match))
             if self._adapts:
                 factor = ease(u - self.base, self.pair.grid, (match.g**2).sum(0) * match.used)
             if self.decides and warp == near:
-                trial = choose_alpha(match, self.base, self.prescribed, self.free, alpha, factor)
-                chosen = *chosen, trial
-                alpha = combined(chosen) or trial
+                best, alpha = choose_alpha(
+                    match, self.base, self.prescribed, self.free, alpha, chosen, factor
+                )
+                chosen = *chosen, best
             F = self.functional(match, alpha, factor)
             del match
             last = warp == settings.warps - 1 and (
@@ -257,10 +258,21 @@ def sampled_pairs(
         if settings.robust and not fine:
             J1, J2 = (normalise_locally(J, (COARSE,) * J.ndim) for J in (J1, J2))
         live, live_after = (~_resized(m, grid.shape) for m in (before, after))
-        mean, robust = settings.gradients == "mean", settings.robust and fine
-        straight = settings.robust
-        pairs.append(ImagePair(grid, J1, J2, live, live_after, mean, robust, straight))
+        pairs.append(image_pair(grid, (J1, J2), (live, live_after), settings, fine))
     return pairs
+
+
+def image_pair(
+    grid: Grid,
+    images: tuple[Array, Array],
+    live: tuple[Mask, Mask],
+    settings: Estimation,
+    fine: bool,
+    offset: tuple[int, ...] = (),
+) -> ImagePair:
+    """Images on a grid, and how they are compared there; ``fine`` grids fit brightness."""
+    mean, robust = settings.gradients == "mean", settings.robust and fine
+    return ImagePair(grid, *images, *live, mean, robust, settings.robust, offset)
 
 
 def normalised(

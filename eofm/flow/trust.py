@@ -9,11 +9,11 @@ known. Windows are normalised one by one: brightness and contrast may change fro
 """
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import reduce
 from itertools import product
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +47,8 @@ PARTS, FEW = 3, 3
 SLAB = 16
 # Differences of images and displacements that are none.
 SAME = 1e-6
+STATED = "the images contradict the motion that was stated; check it"
+SAME_IMAGES = "both images are the same; check that the right files were given"
 TINY = float(np.finfo(np.float32).tiny)
 
 
@@ -276,10 +278,36 @@ def judge(I1: Array, warped: Array, used: Mask, u: Array, edges: Collection[Edge
     doubts = [] if failed else _doubts(**shares)
     doubts += _contradicted(windows, edges)
     if np.allclose(I1, warped, atol=SAME) and np.allclose(u, 0, atol=SAME):
-        doubts.append("both images are the same; check that the right files were given")
+        doubts.append(SAME_IMAGES)
     verdict: Verdict = "failed" if failed else "doubtful" if doubts else "good"
     trust = np.where(used, windows.on_pixels(I1.shape), np.nan)
     return Trust(verdict, (*failed, *doubts), trust, **shares)
+
+
+def pooled(parts: Sequence[Mapping[str, Any]], voxels: Sequence[int]) -> Trust:
+    """Verdict on a field of whose parts each has a summary; its map is empty.
+
+    The parts, of so many ``voxels``, take the place of the parts of an image.
+    """
+    data = [v * part["used"] for v, part in zip(voxels, parts, strict=True)]
+
+    def mean(key: str, weights: Sequence[float]) -> float:
+        total = sum(w * part[key] for w, part in zip(weights, parts, strict=True))
+        return float(total / max(sum(weights), TINY))
+
+    shares = {key: mean(key, data) for key in ("agreeing", "contradicting", "correlation")}
+    shares |= {key: mean(key, voxels) for key in ("folded", "used")}
+    shares["part"] = min((p["agreeing"] for p in parts if p["used"] > USED), default=1.0)
+    shares["drift"] = max(part["drift"] for part in parts)
+    failed = _failures(**shares)
+    doubts = [] if failed else _doubts(**shares)
+    # What is said of edges and of equal images is true of the whole where it is of a part.
+    said = [reason for part in parts for reason in part["reasons"] if STATED in reason]
+    if all(any(SAME_IMAGES in reason for reason in part["reasons"]) for part in parts):
+        said.append(SAME_IMAGES)
+    doubts += dict.fromkeys(said)
+    verdict: Verdict = "failed" if failed else "doubtful" if doubts else "good"
+    return Trust(verdict, (*failed, *doubts), np.empty(0), **shares)
 
 
 def _failures(agreeing: float, contradicting: float, used: float, **_: float) -> list[str]:
@@ -338,7 +366,7 @@ def _contradicted(windows: Windows, edges: Collection[Edge]) -> list[str]:
         told = np.isfinite(windows.here[beside])
         off = ~windows.agrees[beside] | (length(windows.offset[:, *beside]) > 2 * DRIFTED)
         if told.any() and off[told].mean() > 0.5:
-            doubts.append(f"{edge}: the images contradict the motion that was stated; check it")
+            doubts.append(f"{edge}: {STATED}")
     return doubts
 
 

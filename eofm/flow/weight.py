@@ -8,6 +8,7 @@ for dense speckle, where they are noise.
 
 import math
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -24,6 +25,11 @@ REACH = 8.0
 # Ratio of two weights that are compared: the minimum is flat; and how far they go from the
 # first, in such steps.
 STEP, FARTHEST = 3.0, 6
+# A misfit as large as that of a motion which is off by so many samples may be a motion that was
+# lost; by how many steps less it is looked for, and the part of the misfit that tells.
+LOST, PROBES, TELLS = 0.25, (4, 8, 12), 0.9
+# Misfit, as a part of the least, up to which a weight that other scales ask for is as good.
+EQUAL = 1.1
 # Fewer blocks than these do not tell weights apart; where there are fewer than MANY, all are held
 # out by turns.
 BLOCKS, MANY = 20, 256
@@ -54,16 +60,6 @@ def first_alpha(match: Match) -> float:
     return (match.strength + np.finfo(float).tiny) * reach**4
 
 
-def combined(chosen: Sequence[float]) -> float | None:
-    """Weight for which scales ask that have chosen some, from coarse to fine; None without any.
-
-    That of the finest is taken or, where another is larger, their geometric mean: residuals that
-    are correlated, as those of decorrelated speckle are, make cross-validation choose too
-    little smoothing (Opsomer, Wang and Yang, Stat. Sci. 16, 2001), least so on coarser scales.
-    """
-    return float(np.sqrt(chosen[-1] * max(chosen))) if chosen else None
-
-
 def enough(shape: tuple[int, ...]) -> bool:
     """Whether an image has blocks enough to choose a weight."""
     return math.prod(shape) >= BLOCKS * BLOCK ** len(shape)
@@ -75,15 +71,20 @@ def choose_alpha(
     prescribed: Array,
     free: NDArray[np.bool_],
     start: float,
+    before: Sequence[float] = (),
     ease: Array | None = None,
-) -> float:
-    """Weight of the bending energy with the least misfit on held-out blocks.
+) -> tuple[float, float]:
+    """Weight of the bending energy with the least misfit on held-out blocks, and that to use.
 
     Goes downhill from ``start`` in factors of 3, then to the vertex of the parabola through
     the three best in log alpha: four or five solves for each of two quarters that are held
     out. Of large images, one quarter of some windows does, so that this takes the same time
     for all; of small ones all quarters are held out. Windows lie where motion is rough and
     where it is smooth, and count as what they stand for, see `drawn`.
+
+    Motion that varies within a few structures of the image has two minima: large weights
+    smooth it away, those between follow some of it wrongly, and small ones find it. So
+    the first scale to choose looks for another one far below, where much is left unexplained.
 
     Parameters
     ----------
@@ -93,6 +94,11 @@ def choose_alpha(
     free : ndarray of bool
     start : float
         First weight tried.
+    before : sequence of float
+        Weights that coarser scales have chosen. Residuals that are correlated, as those of
+        decorrelated speckle are, make cross-validation choose too little smoothing (Opsomer,
+        Wang and Yang, Stat. Sci. 16, 2001), least so on coarser scales. Where one of them is
+        larger, its geometric mean with that of this scale is used, as far as the misfit allows.
     ease : ndarray, optional
         By which the weight is divided at each pixel, see :func:`eofm.flow.roughness.ease`.
     """
@@ -102,28 +108,48 @@ def choose_alpha(
         windows = [(w, counts / ease[w]) for w, counts in windows]
     ridge = RIDGE * match.strength
     trials = [
-        _Trial(_cut(match, w), about[:, *w], prescribed[:, *w], free[w], fold, ridge, counts)
+        Trial(_cut(match, w), about[:, *w], prescribed[:, *w], free[w], fold, ridge, counts)
         for w, counts in windows
-        for fold in _folds(match.grid.shape, len(windows))
+        for fold in folds(match.grid.shape, len(windows))
     ]
-    misfits: dict[int, float] = {}
+    return least_misfit(trials, start, before)
 
+
+def least_misfit(
+    trials: "Sequence[Trial]", start: float, before: Sequence[float] = ()
+) -> tuple[float, float]:
+    """The weight with the least sum of the misfits of some trials, and that to use."""
+
+    @cache
     def misfit(k: int) -> float:
-        if k not in misfits:
-            near = abs(k) <= FARTHEST
-            misfits[k] = sum(t.misfit(start * STEP**k) for t in trials) if near else np.inf
-        return misfits[k]
+        return sum(t.misfit(start * STEP**k) for t in trials)
 
-    k = 0
-    while (better := min((k - 1, k + 1), key=misfit)) and misfit(better) < misfit(k):
-        k = better
+    def downhill(first: int) -> int:
+        k = first
+        while (better := min((k - 1, k + 1), key=misfit)) and misfit(better) < misfit(k):
+            if abs(better - first) > FARTHEST:
+                break
+            k = better
+        return k
+
+    k = downhill(0)
+    squares = sum(float((t.counts * (t.match.g**2).sum(0)).sum()) for t in trials)
+    if not before and misfit(k) > (LOST * trials[0].match.grid.side) ** 2 * squares:
+        low = min((k - far for far in PROBES), key=misfit)
+        if misfit(low) < TELLS * misfit(k):
+            k = downhill(low)
     left, middle, right = (misfit(j) for j in (k - 1, k, k + 1))
     curvature = left - 2 * middle + right
-    shift = 0.5 * (left - right) / curvature if 0 < curvature < np.inf else 0.0
-    return float(np.clip(start * STEP ** (k + shift), *ALPHA))
+    shift = 0.5 * (left - right) / curvature if curvature > 0 else 0.0
+    best = float(np.clip(start * STEP ** (k + np.clip(shift, -1, 1)), *ALPHA))
+    asked = float(np.sqrt(best * max(best, *before))) if before else best
+    most = k
+    while start * STEP**most < asked and misfit(most + 1) <= EQUAL * misfit(k):
+        most += 1
+    return best, max(best, min(asked, start * STEP**most))
 
 
-class _Trial:
+class Trial:
     """One fold of one window; each solve starts from the one before."""
 
     def __init__(
@@ -160,7 +186,7 @@ def around(mask: Mask, margin: int) -> Mask:
     return near
 
 
-def _folds(shape: tuple[int, ...], windows: int) -> tuple[int, ...]:
+def folds(shape: tuple[int, ...], windows: int) -> tuple[int, ...]:
     """Quarters that are held out by turns."""
     if math.prod(shape) < MANY * BLOCK ** len(shape):
         return 0, 1, 2, 3

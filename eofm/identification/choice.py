@@ -1,7 +1,7 @@
 """The prior of the modulus that bubbles which were held out ask for."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,6 +22,8 @@ ROUNDS = 3
 # Gain below which fits that are only compared stop, in units of ``least_gain``: they rank weights
 # long before they have converged.
 COMPARED = 4.0
+# Standard errors by which a prior may be worse and is yet not ruled out.
+RIVAL = 1.0
 
 
 @dataclass(frozen=True)
@@ -66,11 +68,19 @@ class Choice:
         What each fold finds with it.
     losses : ndarray
         Of each bubble.
+    rivals : tuple of list of ndarray
+        What each fold finds with other priors that held-out bubbles do not rule out.
     """
 
     prior: Prior
     z: list[Array]
     losses: Array
+    rivals: tuple[list[Array], ...] = ()
+
+    @property
+    def score(self) -> float:
+        """Mean logarithm of the losses: single bubbles far from all others do not decide."""
+        return float(np.log1p(self.losses / 2).mean())
 
 
 def clearly_better(a: Array, b: Array, clear: float) -> bool:
@@ -113,23 +123,25 @@ def choose(
     tried = [attempt(Prior(settings.gamma or high), none.z)]
     while settings.gamma is None and tried[-1].prior.gamma / STEP >= low:
         tried.append(attempt(Prior(tried[-1].prior.gamma / STEP), tried[-1].z))
-        means = [float(choice.losses.mean()) for choice in tried]
-        if len(tried) - 1 - int(np.argmin(means)) >= PATIENCE:
+        scores = [choice.score for choice in tried]
+        if len(tried) - 1 - int(np.argmin(scores)) >= PATIENCE:
             break
     found = strongest(tried, settings.clear)
     middle = attempt(Prior(found.prior.gamma, SHARPER[1]), found.z)
-    better = middle.losses.mean() < found.losses.mean()
+    better = middle.score < found.score
     other = attempt(Prior(found.prior.gamma, SHARPER[0 if better else 2]), found.z)
     sharp = sorted([middle, other], key=lambda choice: -choice.prior.sharper)
     found = strongest([*sharp, found], settings.clear)
     if settings.gamma is None and not clearly_better(
         found.losses, none.losses, settings.significant
     ):
-        return none
-    return found
+        found = none
+    rivals = (c for c in (none, *tried, *sharp) if c is not found)
+    kept = [c.z for c in rivals if not clearly_better(found.losses, c.losses, RIVAL)]
+    return replace(found, rivals=tuple(kept))
 
 
 def strongest(choices: Sequence[Choice], clear: float) -> Choice:
     """The first of some that none of the others is clearly better than."""
-    best = min(choices, key=lambda choice: choice.losses.mean())
+    best = min(choices, key=lambda choice: choice.score)
     return next(c for c in choices if not clearly_better(best.losses, c.losses, clear))

@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy.sparse as sp
 from tqdm import tqdm
 
 from eofm.elasticity.forward import deform, press
@@ -27,8 +26,10 @@ from eofm.flow.functional import Pointwise
 from eofm.flow.known import Known
 from eofm.grid import FACES, Array, Edge, Mask, componentwise, faces, unit_spacing
 from eofm.identification.choice import NONE, Choice, choose, clearly_better
+from eofm.identification.edges import motions
 from eofm.identification.folds import Folds
 from eofm.identification.inversion import LARGEST, Inversion, Report, gauss_newton
+from eofm.identification.uncertainty import Errors
 from eofm.imaging.gaussian import blur
 from eofm.imaging.splines import gradient, resize
 from eofm.settings import Estimation, Identification, Sample
@@ -40,13 +41,12 @@ UNCERTAIN = 0.5
 ELEMENTS = 6400
 # Smallest side of an element then, px.
 SMALLEST = 4.0
-# Distance of the nodes between which an edge of unknown motion moves linearly, px, and what it
-# may be off by: some deviations of the estimate, and px.
-HATS = 7.0
-DOUBT, UNKNOWN = 2.0, 0.02
-EDGE_SAMPLES = 8
 # Largest contrast of a first guess.
 STRONGEST = 8.0
+# Samples of the error bars that decide whether E is refused.
+VERDICT_SAMPLES = 8
+# Part of the clarity for which E is asked below which its displacement is no better either.
+VAGUE = 0.75
 TINY = np.finfo(np.float64).tiny
 
 
@@ -76,7 +76,9 @@ class Stiffness:
     change : float
         Relative change of the displacement in the last round.
     refused : str
-        Why E is not to be trusted and ``estimate`` is the preset's; empty where it is.
+        Why E is not to be trusted; empty where it is.
+    alone : bool
+        Whether ``estimate`` is the preset's, which knows nothing of E.
     """
 
     E: Array
@@ -89,6 +91,18 @@ class Stiffness:
     rounds: int = 0
     change: float = np.inf
     refused: str = ""
+    alone: bool = False
+
+    @property
+    def errors(self) -> Errors:
+        """Error bars, of the displacement and of E."""
+        return Errors(self.problem, self.z, self.choice)
+
+    @property
+    def clarity(self) -> float:
+        """Root mean square of log E relative to that of its standard deviation."""
+        deviation = self.errors.deviations(VERDICT_SAMPLES, seed=0)[1]
+        return float(np.sqrt((np.log(self.E) ** 2).mean() / ((deviation**2).mean() + TINY)))
 
     @property
     def gamma(self) -> float:
@@ -103,7 +117,8 @@ class Stiffness:
     def summary(self) -> str:
         """What came out and why it stopped, in a line."""
         if self.refused:
-            return f"E is refused: {self.refused}; the displacement is the preset's"
+            whose = "the preset's" if self.alone else "that of the identified sample"
+            return f"E is refused: {self.refused}; the displacement is {whose}"
         scaled = (
             "" if self.scale == 1 else f"; edges moved by {self.scale:.3f} times of what was said"
         )
@@ -163,7 +178,8 @@ def identify_stiffness(
 
     The weight gamma and the start are chosen on bubbles held out, see `choose`. They also
     decide whether a contrast is significant; and where the field that they find predicts
-    them worse than the preset, that one's is returned, with the reason.
+    them worse than the preset, that one's is returned, with the reason. E is refused as well
+    where its contrast does not stand out from its error bars.
     """
     _check(I1, I2, sample)
     if estimation.ends == "half":
@@ -192,11 +208,13 @@ def identify_stiffness(
     setup = Setup(sample, motion, loose, u_bg, known.sides(2), settings)
     choice, refused = setup.choose(estimate, report)
     found: Stiffness | None = None
+    alone = bool(refused)
     for rounds in range(1, settings.rounds + 1):
         found = setup.identify(estimate, choice, found, report)
-        found = replace(found, scale=scale, rounds=rounds, refused=refused)
-        if refused:
-            found = replace(found, E=np.full_like(found.E, np.nan))
+        if rounds == 1 and found.contrast and not refused:
+            refused, alone = vague(found, settings)
+        found = replace(found, scale=scale, rounds=rounds, refused=refused, alone=alone)
+        if alone:
             break
         last = estimate.u
         estimate = estimate_displacement(
@@ -208,7 +226,7 @@ def identify_stiffness(
             break
     bar.close()
     assert found is not None  # there is at least one round
-    return found
+    return replace(found, E=np.full_like(found.E, np.nan)) if refused else found
 
 
 @dataclass(frozen=True)
@@ -256,17 +274,12 @@ class Setup:
             # What the mesh gets wrong where E = 1.
             plain = model.to_pixels(model.solve(np.zeros(model.shape)).u)
             correction = self.h * self.u_bg - plain
-        hats, nodes = model.hats(HATS)
-        if self.loose:
-            sides = zip(nodes, self.sample.shape, model.shape, strict=True)
-            i, j = (np.round(k * (n - 1) / e).astype(int) for k, n, e in sides)
-            doubt = self.h * (DOUBT * estimate.deviation(EDGE_SAMPLES) + UNKNOWN)
-            hats = (hats @ sp.diags_array(doubt[:, i, j].ravel())).tocsc()
+        edges = motions(model, estimate, self.h)
         problems = []
         for mask in masks:
             data = match.density(np.zeros_like(self.u_bg), mask)
             scaled = Pointwise(data.A / match.noise**2, data.b / match.noise**2)
-            problems.append(Inversion(model, correction, scaled, self.settings.epsilon, hats))
+            problems.append(Inversion(model, correction, scaled, self.settings.epsilon, edges))
         return problems
 
     def choose(self, estimate: Estimate, report: Report) -> tuple[Choice, str]:
@@ -309,6 +322,16 @@ class Setup:
         starts = [found, problem.start(softness(estimate.u, problem.model))]
         fits = [gauss_newton(problem, z, gamma, self.settings, report) for z in starts]
         return min(fits, key=lambda z: problem.cost(z, problem.state(z), gamma))
+
+
+def vague(found: Stiffness, settings: Identification) -> tuple[str, bool]:
+    """Why error bars do not bear E out, and whether not even its displacement; empty if they do."""
+    clarity = found.clarity
+    if clarity >= settings.clarity:
+        return "", False
+    return (
+        f"its contrast is {clarity:.2g} times its error bars, less than {settings.clarity:g}"
+    ), clarity < VAGUE * settings.clarity
 
 
 def softness(u: Array, model: Elastic) -> Array:

@@ -6,15 +6,23 @@ of the modulus: the deviation of a sample of the posterior is
 for each block of pixels.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
 import numpy as np
 import scipy.sparse as sp
 
 from eofm.flow.matching import random_signs
 from eofm.grid import Array, componentwise
-from eofm.identification.inversion import LARGEST, slope
-from eofm.identification.stiffness import Stiffness
+from eofm.identification.choice import Choice
+from eofm.identification.inversion import LARGEST, Inversion, slope
 from eofm.imaging.gaussian import blur
 from eofm.threads import serial
+
+if TYPE_CHECKING:
+    from eofm.identification.stiffness import Stiffness
 
 # Keeps the preconditioner regular; small against the prior.
 DAMPING = 1e-2
@@ -26,8 +34,84 @@ STUDENT = 1.2
 WIDTH = 3.0
 
 
+@dataclass(frozen=True)
+class Errors:
+    """Of the minimiser ``z`` of an inversion, and of the modulus.
+
+    Attributes
+    ----------
+    problem : Inversion
+    z : ndarray
+    choice : Choice
+        How its prior was chosen.
+    """
+
+    problem: Inversion
+    z: Array
+    choice: Choice
+
+    def deviations(self, samples: int, seed: int) -> tuple[Array, Array]:
+        """Return the standard deviations of the displacement and of log E at the pixels.
+
+        That of log E is the largest of three, none of which knows all: of the posterior, of
+        parts of the bubbles left out, and of priors that held-out bubbles do not rule out. They
+        share the noise of the data, so that their sum would count it twice.
+        """
+        u, log_E = self._posterior(samples, seed)
+        return u, np.maximum.reduce([log_E, self._folds, self._priors])
+
+    def _posterior(self, samples: int, seed: int) -> tuple[Array, Array]:
+        problem, z, rng = self.problem, self.z, np.random.default_rng(seed)
+        state, m = problem.state(z), problem.m(z)
+        misfit = problem.misfit(state)
+        gamma = min(self.choice.prior.weight, LARGEST_GAMMA)
+        D1, D2 = problem.gradients
+        size = np.sqrt((D1 @ m.ravel()) ** 2 + (D2 @ m.ravel()) ** 2 + problem.epsilon**2)
+        root = np.sqrt(gamma * problem.weights * problem.area / size)
+        prior = gamma * problem.prior(m) + DAMPING * sp.eye_array(m.size)
+        solve = problem.solver(z, state, prior)
+        squares_u, squares_E = np.zeros_like(misfit), np.zeros(misfit.shape[1:])
+        for _ in range(samples):
+            right = problem.back(z, state, random_signs(misfit.shape[1:], rng) * misfit)
+            z1, z2 = rng.standard_normal((2, m.size))
+            right[: m.size] += D1.T @ (root * z1) + D2.T @ (root * z2)
+            right[m.size :] += rng.standard_normal(z.size - m.size)
+            d = solve(right)
+            squares_u = squares_u + problem.forth(z, state, d) ** 2
+            d_E = slope(m) * problem.m(d)
+            squares_E = squares_E + problem.model.elements_to_pixels(d_E - np.median(d_E)) ** 2
+        squares_u /= componentwise(problem.model.spacing, 2) ** 2
+        return np.sqrt(squares_u / samples), np.sqrt(squares_E / samples)
+
+    @cached_property
+    def _folds(self) -> Array:
+        """Jackknife deviation, from parts of the bubbles left out.
+
+        It knows what the linearised posterior does not: how far the fit follows single bubbles.
+        """
+        found = self._log_E(self.choice.z)
+        count = len(found)
+        squares = ((found - found.mean(0)) ** 2).sum(0)
+        return STUDENT * np.sqrt((count - 1) / count * blur(squares, WIDTH))
+
+    @cached_property
+    def _priors(self) -> Array:
+        """How far fits with other priors are off: a prior takes contrast off what it smooths."""
+        squares = np.zeros(self.problem.model.sample.shape)
+        found = self._log_E([self.z])[0]
+        for z in self.choice.rivals:
+            squares += (self._log_E(z).mean(0) - found) ** 2
+        return np.sqrt(squares / max(len(self.choice.rivals), 1))
+
+    def _log_E(self, z: Sequence[Array]) -> Array:
+        """Logarithm of the modulus relative to the background's at the pixels, of each ``z``."""
+        moduli = (LARGEST * np.tanh(self.problem.m(one) / LARGEST) for one in z)
+        to_pixels = self.problem.model.elements_to_pixels
+        return np.stack([to_pixels(log_E - np.median(log_E)) for log_E in moduli])
+
+
 @serial
-def deviations(found: Stiffness, *, samples: int = 32, seed: int = 0) -> tuple[Array, Array]:
+def deviations(found: "Stiffness", *, samples: int = 32, seed: int = 0) -> tuple[Array, Array]:
     """Return the standard deviations of the displacement and of log E.
 
     Parameters
@@ -42,42 +126,9 @@ def deviations(found: Stiffness, *, samples: int = 32, seed: int = 0) -> tuple[A
     u : ndarray, shape (2, height, width)
         In px.
     log_E : ndarray, shape (height, width)
-        NaN where E is refused; the displacement's are the estimate's then.
+        NaN where E is refused.
     """
-    if found.refused:
+    if found.alone:
         return found.estimate.deviation(samples, seed), np.full_like(found.E, np.nan)
-    problem, z, rng = found.problem, found.z, np.random.default_rng(seed)
-    state, m = problem.state(z), problem.m(z)
-    misfit = problem.misfit(state)
-    gamma = min(found.gamma, LARGEST_GAMMA)
-    D1, D2 = problem.gradients
-    size = np.sqrt((D1 @ m.ravel()) ** 2 + (D2 @ m.ravel()) ** 2 + problem.epsilon**2)
-    root = np.sqrt(gamma * problem.weights * problem.area / size)
-    prior = gamma * problem.prior(m) + DAMPING * sp.eye_array(m.size)
-    solve = problem.solver(z, state, prior)
-    squares_u, squares_E = np.zeros_like(misfit), np.zeros(misfit.shape[1:])
-    for _ in range(samples):
-        right = problem.back(z, state, random_signs(misfit.shape[1:], rng) * misfit)
-        z1, z2 = rng.standard_normal((2, m.size))
-        right[: m.size] += D1.T @ (root * z1) + D2.T @ (root * z2)
-        right[m.size :] += rng.standard_normal(z.size - m.size)
-        d = solve(right)
-        squares_u = squares_u + problem.forth(z, state, d) ** 2
-        d_E = slope(m) * problem.m(d)
-        squares_E = squares_E + problem.model.elements_to_pixels(d_E - np.median(d_E)) ** 2
-    squares_u /= componentwise(problem.model.spacing, 2) ** 2
-    deviation_E = np.hypot(np.sqrt(squares_E / samples), _of_folds(found))
-    return np.sqrt(squares_u / samples), deviation_E
-
-
-def _of_folds(found: Stiffness) -> Array:
-    """Jackknife deviation of log E, shape (height, width), from parts of the bubbles left out.
-
-    It knows what the linearised posterior does not: how far the fit follows single bubbles.
-    """
-    problem, count = found.problem, len(found.choice.z)
-    log_E = np.stack([LARGEST * np.tanh(problem.m(z) / LARGEST) for z in found.choice.z])
-    log_E -= np.median(log_E, axis=(1, 2), keepdims=True)
-    to_pixels = problem.model.elements_to_pixels
-    squares = np.sum([to_pixels(change) ** 2 for change in log_E - log_E.mean(0)], axis=0)
-    return STUDENT * np.sqrt((count - 1) / count * blur(squares, WIDTH))
+    u, log_E = found.errors.deviations(samples, seed)
+    return u, np.where(np.isnan(found.E), np.nan, log_E)

@@ -1,6 +1,9 @@
-"""One grey scale for two images, and pixels that show no sample."""
+"""One grey scale for two images, pixels that show no sample, and intensities that fade."""
 
+import logging
 from functools import reduce
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,8 +24,24 @@ ISOLATED, NEIGHBOURHOOD = 0.02, 16.0
 # Length of a line of saturated pixels that no structure makes, px, if not more than a part of the
 # pixels that touch it is saturated: structures that are clipped are ragged.
 LINE, RAGGED = 32, 0.25
+# Speckle of linear intensity: sides of blocks, px; the contrast in them, whose theory is 0.52 for
+# amplitudes and 1 for intensities; how fast it grows with their mean, which is not at all after a
+# logarithm; and the range of the means, as a ratio: 15 dB.
+BLOCK, CONTRAST, GROWTH, RANGE = 8, (0.4, 1.3), 0.75, 10 ** (15 / 20)
+# Slices of a volume, and blocks, that suffice to tell.
+SLICES, ENOUGH = 16, 64
+# An impulse differs so many times as far from its neighbours' mean as three in four pixels do, and
+# so much of what it differs by from its surroundings from all neighbours but one: the light of
+# no lens does, whose points are wider than a pixel.
+IMPULSE, ALONE = 4.0, 0.7
+# Least part of what surroundings vary by, but for two pixels at either end.
+CLEAR = 0.35
 # Numbers whose sums are taken at once.
 CHUNK = 2**19
+# What is said of it.
+LINEAR = "looks like linear intensity, whose dark parts count little"
+
+logger = logging.getLogger("eofm")
 
 
 def normalise(
@@ -79,18 +98,19 @@ def _scaled(I: Array, low: float, high: float) -> Array:
     return J
 
 
-def normalise_locally(I: Array, window: tuple[float, ...]) -> Array:
+def normalise_locally(I: Array, window: tuple[float, ...], spread: float | None = None) -> Array:
     """Remove the local mean of an image or a volume and divide by its local contrast.
 
     For pairs whose brightness changes from place to place. Means are Gaussian averages of
     standard deviations ``window`` = (lateral, axial, ...), in samples. Three local standard
     deviations fill half of [0, 1], and contrast is not raised where there is a tenth of
-    the whole's or less.
+    the whole's or less, whose standard deviation is the ``spread`` if I is a part of it.
     """
+    spread = I.std() if spread is None else spread
     deviation = blur(I, window)
     np.subtract(I, deviation, out=deviation)
     contrast = blur(deviation**2, window)
-    contrast += float((0.1 * I.std()) ** 2)
+    contrast += float((0.1 * spread) ** 2)
     np.sqrt(contrast, out=contrast)
     contrast *= 6
     deviation /= contrast
@@ -98,33 +118,115 @@ def normalise_locally(I: Array, window: tuple[float, ...]) -> Array:
     return deviation
 
 
-def defects(I: Array) -> Mask:
-    """Pixels that show the detector instead of the sample: highlights and saturated lines.
+class Levels(NamedTuple):
+    """Intensities that tell pixels of the detector from those of the sample.
 
-    Saturated pixels as such are none: what is clipped where it is bright moves with the
-    sample. Highlights stand alone, and neither is found where both would make up more than 5 % of
-    the image or volume.
+    Attributes
+    ----------
+    median : float
+    highlight, top : float
+        Heights above the median: of highlights, and of what saturates; infinite for none.
+    bump : float
+        Sum of second differences of an impulse; infinite for none.
     """
-    # Its import takes a tenth of a short estimate.
-    from scipy import ndimage
 
-    above = I - np.median(I)
-    peaks = above[(ndimage.maximum_filter(I, PEAK) <= I) & (above > 0)]
-    if not peaks.size:
-        return np.zeros(I.shape, dtype=bool)
-    found = above > HIGHLIGHT * np.quantile(peaks, 0.75)
+    median: float
+    highlight: float
+    top: float
+    bump: float
+
+    @classmethod
+    def of(cls, I: Array) -> "Levels | None":
+        """Return those of an image or a volume; None if it has no peaks."""
+        # Its import takes a tenth of a short estimate.
+        from scipy import ndimage
+
+        median = np.median(I)
+        above = I - median
+        peaks = above[(ndimage.maximum_filter(I, PEAK) <= I) & (above > 0)]
+        if not peaks.size:
+            return None
+        highlight = HIGHLIGHT * np.quantile(peaks, 0.75)
+        lit = highlights(above, highlight)
+        top = np.max(above, where=~lit, initial=0.0)
+        steep = bumps(I)
+        bump = IMPULSE * np.quantile(steep.ravel()[:: max(1, steep.size // CHUNK)], 0.75)
+        return cls(median, highlight, top, bump if rare(steep > bump, 2 * RARE) else np.inf)
+
+    def marked(self, I: Array) -> Mask:
+        """Pixels of highlights and saturated lines."""
+        from scipy import ndimage
+
+        above = I - self.median
+        found = highlights(above, self.highlight)
+        top = (above >= self.top).view(np.uint8)
+        for axis in range(I.ndim if np.count_nonzero(top) >= LINE else 0):
+            # A line is what a segment of LINE pixels can cover: of an opening, both steps.
+            starts = ndimage.minimum_filter1d(top, LINE, axis, mode="constant")
+            lines = ndimage.maximum_filter1d(starts, LINE, axis, mode="constant", origin=-1)
+            found |= _smooth_edged(lines.view(bool), top.view(bool))
+        return found
+
+    def single(self, I: Array) -> Mask:
+        """Impulses: pixels that are bright or dark alone, as hot and dead ones are."""
+        found: Mask = np.zeros(I.shape, dtype=bool)
+        at = np.nonzero(bumps(I) > self.bump)
+        offsets = np.array(list(product(range(-2, 3), repeat=I.ndim))).T
+        padded = np.pad(I, 2, mode="edge")
+        around = padded[tuple(k + o[:, None] + 2 for k, o in zip(at, offsets, strict=True))]
+        middle = np.median(around, axis=0)
+        sign = np.sign(I[at] - middle)
+        near = np.abs(offsets).max(axis=0) == 1
+        # Two impulses may be neighbours.
+        second = np.sort(sign * around[near], axis=0)[-2]
+        around.sort(axis=0)
+        least = np.maximum(ALONE * sign * (I[at] - middle), CLEAR * (around[-3] - around[2]))
+        found[at] = sign * I[at] - second > least
+        return found
+
+
+def bumps(I: Array) -> Array:
+    """Sum of the second differences along all axes, without its sign; 0 of what an edge cuts."""
+    total = np.zeros_like(I)
+    for axis in range(I.ndim):
+        inner = tuple(slice(1, -1) if k == axis else slice(None) for k in range(I.ndim))
+        total[inner] += np.diff(I, 2, axis)
+    return np.abs(total, out=total)
+
+
+def rare(found: Mask, part: float = RARE) -> bool:
+    """Whether there are some pixels, and few of them."""
+    return bool(0 < np.count_nonzero(found) < part * found.size)
+
+
+def highlights(above: Array, height: float) -> Mask:
+    """Pixels that are so high above the median, and stand alone."""
+    found = above > height
     if found.any():
         share = Window(np.ones_like(found), NEIGHBOURHOOD).mean(found.astype(above.dtype))
         found &= share < ISOLATED
-    top = (above >= np.max(above, where=~found, initial=0.0)).view(np.uint8)
-    for axis in range(I.ndim if np.count_nonzero(top) >= LINE else 0):
-        # A line is what a segment of LINE pixels can cover: of an opening, both steps.
-        starts = ndimage.minimum_filter1d(top, LINE, axis, mode="constant")
-        lines = ndimage.maximum_filter1d(starts, LINE, axis, mode="constant", origin=-1)
-        found |= _smooth_edged(lines.view(bool), top.view(bool))
-    if not 0 < found.mean() < RARE:
-        return np.zeros_like(found)
-    return ndimage.binary_dilation(found, iterations=MARGIN)
+    return found
+
+
+def defects(I: Array, levels: Levels | None = None) -> Mask:
+    """Pixels that show the detector instead of the sample: highlights, saturated lines, impulses.
+
+    Saturated pixels as such are none: what is clipped where it is bright moves with the
+    sample. Highlights stand alone, and none is found where it would make up more than 5 % of the
+    image or volume. Of a part of an image that has defects, the ``levels`` are those of the
+    whole.
+    """
+    from scipy import ndimage
+
+    own = levels or Levels.of(I)
+    if own is None:
+        return np.zeros(I.shape, dtype=bool)
+    found, single = own.marked(I), own.single(I)
+    if levels is None:
+        found, single = (f & rare(f) for f in (found, single))
+    if found.any():
+        single |= ndimage.binary_dilation(found, iterations=MARGIN)
+    return single
 
 
 def _smooth_edged(lines: Mask, top: Mask) -> Mask:
@@ -141,6 +243,34 @@ def _smooth_edged(lines: Mask, top: Mask) -> Mask:
     smooth: Mask = saturated <= RAGGED * touching
     smooth[0] = False
     return smooth[label]
+
+
+def looks_linear(I: Array) -> bool:
+    """Whether an image or a volume shows speckle over a wide range, and no logarithm of it.
+
+    From block to block, the standard deviation of speckle is proportional to its mean; that of its
+    logarithm is the same everywhere (Goodman, Speckle Phenomena in Optics, 2007). Where the means
+    reach over less than 15 dB, either will do, and the answer is no.
+    """
+    pages = I.reshape(-1, *I.shape[-2:])[:: max(1, len(I) // SLICES) if I.ndim == 3 else 1]
+    rows, columns = (n // BLOCK for n in I.shape[-2:])
+    if len(pages) * rows * columns < ENOUGH or I.min() < 0 or np.count_nonzero(I) < 0.99 * I.size:
+        return False
+    pages = pages[:, : rows * BLOCK, : columns * BLOCK].astype(np.float64)
+    blocks = pages.reshape(len(pages), rows, BLOCK, columns, BLOCK)
+    mean, deviation = blocks.mean(axis=(2, 4)).ravel(), blocks.std(axis=(2, 4)).ravel()
+    mean, deviation = (f[(mean > 0) & (deviation > 0)] for f in (mean, deviation))
+    low, high = np.quantile(mean, [0.05, 0.95]) if len(mean) >= ENOUGH else (1.0, 1.0)
+    if high < RANGE * low:
+        return False
+    growth = np.polyfit(np.log(mean), np.log(deviation), 1)[0]
+    return bool(growth > GROWTH and CONTRAST[0] < np.median(deviation / mean) < CONTRAST[1])
+
+
+def advise_logarithm(I: Array) -> None:
+    """Say so in the log where an image looks like linear intensity."""
+    if looks_linear(I):
+        logger.info(f"the first image {LINEAR}; try the logarithm, eofm sample --intensity log")
 
 
 def filled(I: Array, dead: Mask) -> Array:

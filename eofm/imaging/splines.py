@@ -15,6 +15,9 @@ from eofm.imaging import kernels, sampling
 from eofm.imaging.gaussian import mirrored, taps
 from eofm.imaging.sums import Terms, resample
 
+# Samples beyond which coefficients do not feel where a part of an image ends, to single precision.
+HALO = 12
+
 
 class Spline:
     """The cubic spline through an image or a volume.
@@ -26,8 +29,8 @@ class Spline:
     I : ndarray, shape (height, width) or (depth, height, width)
     odd : bool
         How it goes on beyond the edges: as in a mirror, or turned by half a turn about the
-        edge, ``I(-x) = 2 I(0) - I(x)``. The mirror suits images. It would bend a component
-        of a displacement, which has a slope at the edges.
+        edge, ``I(-x) = 2 I(0) - I(x)``. A mirror levels what has a slope at the edges, as
+        displacements do, and images.
     """
 
     def __init__(self, I: Array, odd: bool = False) -> None:
@@ -181,6 +184,58 @@ def resize_field(u: Array, shape: tuple[int, ...]) -> Array:
     for c, out in zip(u, resized, strict=True):
         _resized(c, out, odd=True)
     return resized
+
+
+def needed(
+    old: tuple[int, ...], new: tuple[int, ...], window: tuple[slice, ...]
+) -> tuple[slice, ...]:
+    """The part of an image of an ``old`` shape that a window of it on a ``new`` grid asks for."""
+    parts = []
+    for n, m, part in zip(old, new, window, strict=True):
+        at = _terms(n, m, False).at[part]
+        parts.append(slice(max(int(at.min()) - HALO, 0), min(int(at.max()) + HALO, n)))
+    return tuple(parts)
+
+
+def resize_part(
+    I: Array,
+    part: tuple[slice, ...],
+    old: tuple[int, ...],
+    new: tuple[int, ...],
+    window: tuple[slice, ...],
+    odd: bool = False,
+) -> Array:
+    """A window of what :func:`resize` makes of an image of which only a part is there.
+
+    Parameters
+    ----------
+    I : ndarray
+        That ``part`` of an image of an ``old`` shape, which has to hold what is `needed`.
+    new : tuple of int
+        Shape of the other grid, which has the same corners.
+    window : tuple of slice
+        Wanted of it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> I = np.random.default_rng(1).random((90, 70))
+    >>> new, window = (46, 36), (slice(20, 30), slice(0, 36))
+    >>> part = needed(I.shape, new, window)
+    >>> some = resize_part(I[part], part, I.shape, new, window)
+    >>> bool(np.allclose(some, resize(I, new)[window], atol=1e-6))
+    True
+    """
+    terms = []
+    for n, m, here, wanted in zip(old, new, part, window, strict=True):
+        at, w = _terms(n, m, odd)
+        # What lies outside of the part has no weight: the ends, where the window is inside.
+        inside = np.clip(at[wanted] - here.start, 0, here.stop - here.start + 2)
+        terms.append(Terms(inside, w[wanted]))
+    spline = Spline(I, odd)
+    J = np.empty([w.stop - w.start for w in window], spline.c.dtype)
+    resample(J, spline.c, terms)
+    return J
 
 
 def _resized(I: Array, out: Array, odd: bool) -> Array:

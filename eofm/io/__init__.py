@@ -7,6 +7,7 @@ The only room that knows file formats:
 - `tables`: CSV, YAML and JSON.
 - `scan`: an array, the meaning of its axes, and the size of its pixels.
 - `formats`: the array of a file of any format; `tiff`, `plain`, `matlab` and others each know one.
+- `stored`: arrays larger than the memory, of which windows are read and written.
 - `apart`: the process of their own in which libraries read what may crash them.
 - `vti`: fields for ParaView.
 - `limits`: how large an array may be, how long a foreign reader may take.
@@ -26,9 +27,10 @@ from eofm.io.images import (
     write_pages,
 )
 from eofm.io.limits import limit_size
-from eofm.io.origin import Origin, checksum
+from eofm.io.origin import Origin, checksum, mark, reading
 from eofm.io.places import check_place, remove, replacing, together
 from eofm.io.scan import PixelSize, Scan, pixel_size
+from eofm.io.stored import Store, Stored, new_store, open_store, open_stored, scratch_store, windows
 from eofm.io.tables import (
     BUBBLE_COLUMNS,
     read_bubbles,
@@ -37,6 +39,7 @@ from eofm.io.tables import (
     write_json,
     write_table,
 )
+from eofm.io.tiff import write_slices
 from eofm.io.vti import write_vti
 
 __all__ = [
@@ -44,9 +47,15 @@ __all__ = [
     "Origin",
     "PixelSize",
     "Scan",
+    "Store",
+    "Stored",
     "check_place",
     "checksum",
     "limit_size",
+    "mark",
+    "new_store",
+    "open_store",
+    "open_stored",
     "pixel_size",
     "read_bubbles",
     "read_columns",
@@ -57,13 +66,17 @@ __all__ = [
     "read_scans",
     "read_settings",
     "read_stack",
+    "reading",
     "remove",
     "replacing",
+    "scratch_store",
     "together",
+    "windows",
     "write_field",
     "write_image",
     "write_json",
     "write_pages",
+    "write_slices",
     "write_table",
     "write_vti",
 ]

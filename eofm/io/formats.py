@@ -30,7 +30,7 @@ def read_array(path: Path) -> Scan:
         If the file is missing, damaged, too large, of no format known, or does not hold what is
         named.
     """
-    name, parts = _split(str(path))
+    name, parts = split(str(path))
     if not _is_folder(name):
         check_is_file(name, "an image")
     kind, label, read = _format(name)
@@ -55,7 +55,7 @@ def read_array(path: Path) -> Scan:
     return Scan(array[page], scan.axes[1:], scan.sizes)
 
 
-def _split(name: str) -> tuple[str, list[str]]:
+def split(name: str) -> tuple[str, list[str]]:
     """The file that there is, and what is named after ``#``."""
     if os.path.exists(name):  # which is quiet about names that no file can have
         return name, []

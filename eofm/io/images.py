@@ -31,8 +31,14 @@ def read_scan(path: Path, ndim: int | None = None) -> Scan:
 
     Parameters
     ----------
+    path : Path
     ndim : int, optional
         Number of axes wanted; None takes what there is.
+
+    Returns
+    -------
+    Scan
+        Its values are float64 of images and float32 of volumes.
 
     Raises
     ------
@@ -40,7 +46,13 @@ def read_scan(path: Path, ndim: int | None = None) -> Scan:
         If the file is missing, unreadable, in colour, a stack in time or of channels, of the other
         kind than wanted, or has NaN or infinity.
     """
-    scan = _one_colour(path, read_array(path))
+    scan = one_image(path, _one_colour(path, read_array(path)), ndim)
+    values = amplitude(path, scan.values)
+    return Scan(check_finite(path, values, values.ndim), scan.axes, scan.sizes)
+
+
+def one_image(path: Path, scan: Scan, ndim: int | None = None) -> Scan:
+    """The same without axes along which there is nothing, if it is one image or volume."""
     axes, values = scan.axes, scan.values
     if values.ndim < 2:
         raise InputError(f"{path}: holds an array of shape {values.shape}, no image")
@@ -67,16 +79,31 @@ def read_scan(path: Path, ndim: int | None = None) -> Scan:
         raise InputError(f"{path}: holds {said}; save one image or volume (axes YX or ZYX)")
     if ndim not in (None, values.ndim):
         raise InputError(f"{path}: is {NAMES[values.ndim]} where {NAMES[3]} is wanted")
-    return Scan(_finite(path, _amplitude(path, values), values.ndim), axes, scan.sizes)
+    return Scan(values, axes, scan.sizes)
 
 
 def read_image(path: Path, ndim: int | None = None) -> Array:
-    """Read the values of an image or volume, see `read_scan`."""
+    """Read the values of an image or volume, see `read_scan`.
+
+    Parameters
+    ----------
+    path : Path
+    ndim : int, optional
+        Number of axes wanted; None takes what there is.
+
+    Returns
+    -------
+    ndarray, shape (height, width) or (depth, height, width)
+    """
     return read_scan(path, ndim).values
 
 
 def read_stack(path: Path) -> Scan:
     """Read a sequence of greyscale frames, shape (frames, height, width), float64.
+
+    Parameters
+    ----------
+    path : Path
 
     Raises
     ------
@@ -90,11 +117,17 @@ def read_stack(path: Path) -> Scan:
     if scan.axes[0] in "CZ":
         logger.warning(f"{path}: {MEANINGS[scan.axes[0]]} ({scan.axes[0]}) are taken for frames")
     _check_not_small(path, frames[0])
-    return Scan(_finite(path, _amplitude(path, frames), 2), scan.axes, scan.sizes)
+    return Scan(check_finite(path, amplitude(path, frames), 2), scan.axes, scan.sizes)
 
 
 def read_scans(reference: Path, deformed: Path, ndim: int | None = None) -> tuple[Scan, Scan]:
     """Read two images or volumes, before and after compression, which must have one size.
+
+    Parameters
+    ----------
+    reference, deformed : Path
+    ndim : int, optional
+        Number of axes wanted; None takes what there is.
 
     Raises
     ------
@@ -112,7 +145,18 @@ def read_scans(reference: Path, deformed: Path, ndim: int | None = None) -> tupl
 
 
 def read_pair(reference: Path, deformed: Path, ndim: int | None = None) -> tuple[Array, Array]:
-    """Read the values of two images or volumes of one size, see `read_scans`."""
+    """Read the values of two images or volumes of one size, see `read_scans`.
+
+    Parameters
+    ----------
+    reference, deformed : Path
+    ndim : int, optional
+        Number of axes wanted; None takes what there is.
+
+    Returns
+    -------
+    I1, I2 : ndarray, shape (height, width) or (depth, height, width)
+    """
     first, second = read_scans(reference, deformed, ndim)
     return first.values, second.values
 
@@ -120,10 +164,18 @@ def read_pair(reference: Path, deformed: Path, ndim: int | None = None) -> tuple
 def read_field(path: Path, shape: tuple[int, ...] | None = None, ndim: int | None = None) -> Array:
     """Read a displacement field, px, shape (2, height, width) or (3, depth, height, width).
 
+    Parameters
+    ----------
+    path : Path
+    shape : tuple of int, optional
+        Shape of the images that it has to belong to.
+    ndim : int, optional
+        Number of their axes, where only that matters.
+
     Raises
     ------
     InputError
-        If the file is no such field, or not of the ``shape`` or number of axes wanted.
+        If the file is no such field, or not of the shape or number of axes wanted.
     """
     scan = read_array(path)
     u = scan.values
@@ -146,11 +198,19 @@ def read_field(path: Path, shape: tuple[int, ...] | None = None, ndim: int | Non
             f"{path}: is the field of {NAMES[u.ndim - 1]} where that of {NAMES[6 - u.ndim]} is"
             " wanted"
         )
-    return _finite(path, u, u.ndim - 1)
+    return check_finite(path, u, u.ndim - 1)
 
 
 def write_image(path: Path, I: Array, sides: Sequence[float] | None = None) -> None:
-    """Write an image or volume as float32 ImageJ TIFF, with the sides of its pixels, um."""
+    """Write an image or volume as float32 ImageJ TIFF.
+
+    Parameters
+    ----------
+    path : Path
+    I : ndarray, shape (height, width) or (depth, height, width)
+    sides : sequence, optional
+        Sides of a pixel, um, lateral first.
+    """
     write_tiff(path, I, sides=sides)
 
 
@@ -165,6 +225,7 @@ def write_field(
 
     Parameters
     ----------
+    path : Path
     u : ndarray, shape (ndim, ...)
     unit : str
         Its unit, for the labels.
@@ -180,14 +241,21 @@ def write_field(
 def write_pages(
     path: Path, pages: Array, labels: list[str], sides: Sequence[float] | None = None
 ) -> None:
-    """Write labelled images or volumes, shape (n, ...), as float32 ImageJ TIFF, for Fiji channels.
+    """Write labelled images or volumes as float32 ImageJ TIFF; channels to Fiji.
 
-    The pixel's ``sides`` in um go with them where they are known.
+    Parameters
+    ----------
+    path : Path
+    pages : ndarray, shape (n, ...)
+    labels : list of str
+        What each of them is.
+    sides : sequence, optional
+        Sides of a pixel, um, lateral first.
     """
     write_tiff(path, np.moveaxis(pages, 0, -3), labels, sides)
 
 
-def _amplitude(path: Path, values: NDArray) -> NDArray:
+def amplitude(path: Path, values: NDArray) -> NDArray:
     """The amplitude of complex values, and the log says so; others as they are."""
     if not np.iscomplexobj(values):
         return values
@@ -195,7 +263,7 @@ def _amplitude(path: Path, values: NDArray) -> NDArray:
     return np.abs(values)
 
 
-def _finite(path: Path, values: NDArray, ndim: int) -> Array:
+def check_finite(path: Path, values: NDArray, ndim: int) -> Array:
     """The values as numbers to compute with: 8 bytes in images, 4 in volumes."""
     if values.size == 0:
         raise InputError(f"{path}: holds no values (shape {values.shape})")

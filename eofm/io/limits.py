@@ -1,4 +1,4 @@
-"""How large an array a file may ask for, and how long a foreign reader may take."""
+"""How large an array a file or a model may ask for, and how long a foreign reader may take."""
 
 import math
 import os
@@ -11,6 +11,8 @@ from eofm.errors import InputError
 ITEM = 8
 # Part of the memory that one file may fill; an estimate takes several arrays of that size.
 PART = 0.25
+# Part of the memory that a computation may fill.
+MOST = 0.75
 # Seconds that a reader in a process of its own may take.
 PATIENCE = 60
 # A file of settings larger than this is none.
@@ -35,7 +37,7 @@ def limit_size(gigabytes: float | None) -> None:
 
 def largest() -> int:
     """Bytes that the array of a file may take."""
-    return _largest if _largest is not None else int(PART * _memory())
+    return _largest if _largest is not None else int(PART * memory())
 
 
 def check_size(name: str, shape: Sequence[int], item: int = ITEM) -> None:
@@ -54,7 +56,32 @@ def check_size(name: str, shape: Sequence[int], item: int = ITEM) -> None:
         )
 
 
-def _memory() -> int:
+def check_memory(what: str, size: float, instead: str) -> None:
+    """Refuse a computation that takes more memory than there is, before it begins.
+
+    Parameters
+    ----------
+    what : str
+        What takes it.
+    size : float
+        How much it takes, bytes.
+    instead : str
+        What to do about it.
+
+    Raises
+    ------
+    InputError
+        If so.
+    """
+    most = MOST * memory()
+    if size > most:
+        raise InputError(
+            f"{what} take {size / 2**30:.3g} GiB of memory, more than the {most / 2**30:.3g} there"
+            f" are for it; {instead}"
+        )
+
+
+def memory() -> int:
     """Bytes of memory that this process may fill: the machine's, a container's, or a shell's."""
     found = [sys.maxsize]
     if hasattr(os, "sysconf"):

@@ -10,6 +10,20 @@ def read(
     path: str, part: str, largest: int
 ) -> tuple[list[str], NDArray | None, str, dict[str, tuple[Any, Any]]]:
     """The arrays of a folder, and that which is named, the finest, or the only one."""
+    names, data, axes, sizes = find(path, part)
+    if data is None:
+        return names, None, axes, sizes
+    size = data.size * max(data.dtype.itemsize, 8)
+    if size > largest:
+        raise ValueError(
+            f"it asks for {size / 2**30:.3g} GiB (shape {data.shape}), more than the"
+            f" {largest / 2**30:.3g} GiB allowed; crop it, or allow more by --max-size"
+        )
+    return names, np.asarray(data[...]), axes, sizes
+
+
+def find(path: str, part: str) -> tuple[list[str], Any, str, dict[str, tuple[Any, Any]]]:
+    """The same, with the array not yet read."""
     import zarr
 
     zarr.config.set({"async.concurrency": 2, "threading.max_workers": 2})
@@ -27,12 +41,6 @@ def read(
     if chosen not in found:
         return [name for name in found if name], None, "", {}
     data = found[chosen]
-    size = data.size * max(data.dtype.itemsize, 8)
-    if size > largest:
-        raise ValueError(
-            f"it asks for {size / 2**30:.3g} GiB (shape {data.shape}), more than the"
-            f" {largest / 2**30:.3g} GiB allowed; crop it, or allow more by --max-size"
-        )
     if data.dtype.kind not in "biufc":
         raise ValueError(f"it holds {data.dtype} values; save numbers")
     axes, units = _axes(image.get("axes"), data)
@@ -42,7 +50,7 @@ def read(
             if step.get("type") == "scale" and len(step.get("scale", ())) == len(axes):
                 scales = [a * float(b) for a, b in zip(scales, step["scale"], strict=True)]
     sizes = dict(zip(axes, zip(scales, units, strict=False), strict=False))
-    return list(found), np.asarray(data[...]), axes, {a: s for a, s in sizes.items() if a in "XYZ"}
+    return list(found), data, axes, {a: s for a, s in sizes.items() if a in "XYZ"}
 
 
 def _axes(stated: Any, data: Any) -> tuple[str, list[Any]]:

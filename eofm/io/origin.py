@@ -64,8 +64,8 @@ class Origin:
         token = _current.set(self)
         try:
             yield self
-            for path, (_, mark) in self.inputs.items():
-                if not path.exists() or _mark(path) != mark:
+            for path, (_, before) in self.inputs.items():
+                if not path.exists() or mark(path) != before:
                     raise InputError(f"{path}: changed while it was used; nothing is written")
         finally:
             _current.reset(token)
@@ -111,10 +111,10 @@ def reading(path: Path) -> Iterator[None]:
         yield
         return
     place = path.resolve()
-    mark = _mark(place)
+    before = mark(place)
     digest = checksum(place)
     yield
-    if _mark(place) != mark or origin.inputs.setdefault(place, (digest, mark))[0] != digest:
+    if mark(place) != before or origin.inputs.setdefault(place, (digest, before))[0] != digest:
         raise InputError(f"{path}: changed while it was read; wait until it is complete")
 
 
@@ -136,7 +136,8 @@ def checksum(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def _mark(path: Path) -> Mark:
+def mark(path: Path) -> Mark:
+    """Size, newest time and number of a file or a folder."""
     at = [file.stat() for file in (_files(path) if path.is_dir() else [path])]
     newest = max((a.st_mtime_ns for a in at), default=0)
     return sum(a.st_size for a in at), newest, at[0].st_ino if at else 0

@@ -1,10 +1,12 @@
 """PNG and NumPy files."""
 
 import io
+import math
 import os
 import struct
 import zipfile
-from typing import IO
+from collections.abc import Sequence
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +48,23 @@ def read_numpy(name: str, part: str) -> Scan:
             with archive.open(chosen) as member:
                 values = _read_npy(member, name, chosen.file_size)
                 return Scan(values, unnamed(values))
+
+
+def locate(name: str) -> tuple[np.dtype[Any], tuple[int, ...], Sequence[int]]:
+    """Type and shape of the array of a NumPy file, and where each of its pages begins."""
+    size = os.path.getsize(name)
+    with open(name, "rb") as file:
+        version = np.lib.format.read_magic(file)[0]
+        if version not in HEADERS:
+            raise ValueError(f"NumPy's format {version} is for tables")
+        shape, turned, dtype = HEADERS[version](file)
+        first = file.tell()
+    if dtype.hasobject or turned or len(shape) < 2 or min(shape) < 1:
+        raise ValueError(f"its {dtype} values of shape {shape} do not lie in rows")
+    if first + dtype.itemsize * math.prod(shape) > size:
+        raise ValueError(f"shape {shape} is stated, {size} bytes are there")
+    page = math.prod(shape[-2:]) * dtype.itemsize
+    return dtype, shape, range(first, first + math.prod(shape) * dtype.itemsize, page)
 
 
 def _read_npy(file: IO[bytes], name: str, size: int) -> NDArray:

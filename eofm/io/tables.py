@@ -22,12 +22,28 @@ BUBBLE_COLUMNS = ("x1", "x2", "u1", "u2")
 
 
 def read_bubbles(path: Path) -> "pd.DataFrame":
-    """Read a table of bubbles with at least the columns x1, x2, u1, u2, px."""
+    """Read a table of bubbles with at least the columns x1, x2, u1, u2, px.
+
+    Parameters
+    ----------
+    path : Path
+        CSV.
+
+    Raises
+    ------
+    InputError
+        See `read_columns`.
+    """
     return read_columns(path, BUBBLE_COLUMNS)
 
 
 def read_columns(path: Path, columns: tuple[str, ...]) -> "pd.DataFrame":
     """Read a CSV table that has at least some columns of numbers.
+
+    Parameters
+    ----------
+    path : Path
+    columns : tuple of str
 
     Raises
     ------
@@ -77,7 +93,13 @@ def _number(cell: Any) -> float:
 
 
 def write_table(path: Path, table: "pd.DataFrame") -> None:
-    """Write a table as CSV, with six decimals, and its checksum beside it."""
+    """Write a table as CSV, with six decimals, and its checksum beside it.
+
+    Parameters
+    ----------
+    path : Path
+    table : DataFrame
+    """
     check_place(path, "CSV")
     origin.check_not_read(path)
     # Between the two there is no checksum rather than a wrong one.
@@ -107,6 +129,10 @@ def _check_unchanged(path: Path) -> None:
 def read_settings(path: Path) -> dict[str, Any]:
     """Read a YAML file of names and values.
 
+    Parameters
+    ----------
+    path : Path
+
     Raises
     ------
     InputError
@@ -130,6 +156,13 @@ def read_settings(path: Path) -> dict[str, Any]:
 
 
 def write_json(path: Path, values: dict[str, Any]) -> None:
-    """Write a summary, indented."""
+    """Write a summary, indented.
+
+    Parameters
+    ----------
+    path : Path
+    values : dict
+        What JSON can hold.
+    """
     with replacing(path) as temporary:
         temporary.write_text(json.dumps(values, indent=2) + "\n")

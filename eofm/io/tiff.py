@@ -8,7 +8,7 @@ import os
 import re
 import struct
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
@@ -39,6 +39,8 @@ CHECKSUM = re.compile(r"^sha256=([0-9a-f]{64})$", re.MULTILINE)
 # The first image of an OME-TIFF, and what it says of the distance of its pixels.
 PIXELS = re.compile(r"<(?:\w+:)?Pixels\b[^>]*>")
 PHYSICAL = re.compile(r"\bPhysicalSize([XYZ])(Unit)?\s*=\s*[\"']([^\"']*)")
+# Bytes of an ImageJ file, and of the beginning of a file that say what it is.
+CLASSIC, HEAD = 2**32 - 2**24, 2**20
 # Numerators and denominators of a resolution, well within 32 bits.
 LONGEST = 10**9
 
@@ -64,6 +66,8 @@ def read_tiff(name: str) -> Scan:
         if page.photometric == PALETTE and not _grey(page.colormap):
             raise InputError(f"{name}: has a colour map; convert it to greyscale first")
         pages = series.asarray(maxworkers=1)
+        if pages.shape != series.shape:
+            raise ValueError(f"it says {series.shape} and holds {pages.shape}")
         written = CHECKSUM.search(page.description or "")
         axes, sizes = _meant(series.axes), _sizes(tiff)
     if written and written[1] != _digest(pages):
@@ -72,6 +76,42 @@ def read_tiff(name: str) -> Scan:
             " from Fiji if the change is meant"
         )
     return Scan(pages, axes, sizes)
+
+
+def locate(
+    name: str,
+) -> tuple[np.dtype[Any], tuple[int, ...], Sequence[int], str, dict[str, float]]:
+    """Type and shape of the pages of a TIFF, where each begins, their axes and sizes.
+
+    Raises
+    ------
+    InputError
+        If their values do not lie in the file one after the other.
+    ValueError
+        If it is damaged.
+    """
+    with open(name, "rb") as file:
+        _check_pages(file)
+    with tifffile.TiffFile(name, _multifile=False) as tiff:
+        series = tiff.series[0]
+        page = series.keyframe
+        if page.photometric == PALETTE:
+            raise InputError(f"{name}: has a colour map; convert it to greyscale first")
+        if not page.is_memmappable:
+            raise InputError(
+                f"{name}: is compressed or in tiles, so that no part of it can be read alone; save"
+                " it uncompressed, or as Zarr"
+            )
+        dtype, shape = series.dtype.newbyteorder(tiff.byteorder), series.shape
+        bytes_, count = math.prod(page.shape) * dtype.itemsize, math.prod(shape[:-2])
+        offsets: Sequence[int] = [p.dataoffsets[0] if p else -1 for p in series.pages]
+        if series.dataoffset is not None:
+            first = series.dataoffset
+            offsets = range(first, first + max(count, 1) * bytes_, bytes_)
+        size = tiff.filehandle.size
+        if len(offsets) != count or any(not 0 <= at <= size - bytes_ for at in offsets):
+            raise ValueError("a part of the image lies beyond the end of the file")
+        return dtype, shape, offsets, _meant(series.axes), _sizes(tiff)
 
 
 def write_tiff(
@@ -93,23 +133,80 @@ def write_tiff(
     check_place(path, "TIFF")
     origin.check_not_read(path)
     pages = np.ascontiguousarray(pages, np.float32)
-    metadata: dict[str, Any] = {"sha256": _digest(pages)}
-    ndim = pages.ndim - bool(labels)
+    metadata, resolution = _said(_digest(pages), pages.shape, labels, sides)
+    with replacing(path) as temporary:
+        tifffile.imwrite(temporary, pages, imagej=True, metadata=metadata, resolution=resolution)
+
+
+def write_slices(
+    path: Path,
+    slices: Iterable[NDArray],
+    shape: tuple[int, ...],
+    labels: list[str] | None = None,
+    sides: Sequence[float] | None = None,
+) -> None:
+    """The same file as `write_tiff` makes, of a volume of a ``shape`` that comes slice by slice.
+
+    Parameters
+    ----------
+    slices : iterable of ndarray
+        Of shape (height, width), with ``labels`` (channels, height, width).
+    shape : tuple of int
+        That of all of them, (depth, ...). Beyond 4 GB the file is a BigTIFF without what ImageJ
+        asks for.
+    """
+    check_place(path, "TIFF")
+    origin.check_not_read(path)
+    digest = _hash(np.dtype(np.float32), shape)
+    unknown = "0" * (2 * digest.digest_size)
+    metadata, resolution = _said(unknown, shape, labels, sides)
+    small = 4 * math.prod(shape) < CLASSIC
+
+    def pages() -> Iterator[NDArray]:
+        for values in slices:
+            values = np.ascontiguousarray(values, "<f4")
+            digest.update(values.data)
+            yield from values.reshape(-1, *shape[-2:])
+
+    with replacing(path) as temporary:
+        more: dict[str, Any] = {"imagej": True} if small else {"bigtiff": True}
+        if not small:
+            more["photometric"] = "minisblack"
+        tifffile.imwrite(
+            temporary,
+            pages(),
+            shape=shape,
+            dtype=np.float32,
+            metadata=metadata,
+            resolution=resolution,
+            **more,
+        )
+        with temporary.open("r+b") as file:
+            at = file.read(HEAD).find(unknown.encode())
+            if at >= 0:
+                file.seek(at)
+                file.write(digest.hexdigest().encode())
+
+
+def _said(
+    digest: str, shape: tuple[int, ...], labels: list[str] | None, sides: Sequence[float] | None
+) -> tuple[dict[str, Any], Any]:
+    """What goes with pages of a shape, and their resolution."""
+    metadata: dict[str, Any] = {"sha256": digest}
+    ndim = len(shape) - bool(labels)
     if labels is not None:
         metadata |= {
-            "axes": "ZCYX"[-pages.ndim :],
-            "Labels": labels * (len(pages) if ndim == 3 else 1),
+            "axes": "ZCYX"[-len(shape) :],
+            "Labels": labels * (shape[0] if ndim == 3 else 1),
         }
     elif ndim == 3:
         metadata["axes"] = "ZYX"
     if (made := origin.Origin.current()) is not None:
         metadata["Info"] = json.dumps(made.record(), indent=1)
-    resolution = None
-    if sides is not None:
-        resolution = (_resolution(sides[0]), _resolution(sides[1]))
-        metadata |= {"unit": "um"} | ({"spacing": float(sides[2])} if ndim == 3 else {})
-    with replacing(path) as temporary:
-        tifffile.imwrite(temporary, pages, imagej=True, metadata=metadata, resolution=resolution)
+    if sides is None:
+        return metadata, None
+    metadata |= {"unit": "um"} | ({"spacing": float(sides[2])} if ndim == 3 else {})
+    return metadata, (_resolution(sides[0]), _resolution(sides[1]))
 
 
 def _resolution(side: float) -> tuple[int, int]:
@@ -149,10 +246,14 @@ def _sizes(tiff: Any) -> dict[str, float]:
 
 def _digest(pages: NDArray) -> str:
     """SHA-256 of the values, whatever the order of their bytes, and of their shape."""
-    said = repr((pages.dtype.newbyteorder("<").str, pages.shape)).encode()
-    digest = hashlib.sha256(said)
+    digest = _hash(pages.dtype, pages.shape)
     digest.update(np.ascontiguousarray(pages, pages.dtype.newbyteorder("<")).data)
     return digest.hexdigest()
+
+
+def _hash(dtype: np.dtype[Any], shape: tuple[int, ...]) -> Any:
+    """The hash of no values of a type and shape."""
+    return hashlib.sha256(repr((dtype.newbyteorder("<").str, shape)).encode())
 
 
 def _grey(colours: NDArray | None) -> bool:

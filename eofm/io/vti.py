@@ -32,6 +32,7 @@ def write_vti(
 
     Parameters
     ----------
+    path : Path
     arrays : mapping of ndarray, shape ([n,] [depth,] height, width)
         Numbers or n numbers for each pixel, by what ParaView is to call them.
     sides : sequence

@@ -41,7 +41,7 @@ def test_one_unit_and_shared_scales(truth, unit, side, name):
     assert panels[0].get_ylabel() == f"axial position [{name}]"
     assert panels[2].get_xlabel() == f"lateral position [{name}]"
     assert all(f"[{name}]" in axis.get_title("left") for axis in panels)
-    assert f"≤ {0.1 * side * abs(truth[0]).max():.2f} {name}" in panels[1].get_title("left")
+    assert f"≤ {0.1 * side * abs(truth[0]).max():.2f} [{name}]" in panels[1].get_title("left")
     left, right, *_ = panels[0].images[0].get_extent()
     assert right - left == pytest.approx(side * truth.shape[2])
 

@@ -26,6 +26,7 @@ GOOD = {
     "residual_rms": 0.01,
     "residual_rms_without_motion": 0.09,
     "share_held_by_regulariser": 0.0,
+    "looks_linear": False,
     "defect_share": [0.0, 0.0],
 }
 
@@ -54,6 +55,22 @@ def test_motion_is_said_with_its_way_and_unit():
     assert "-1.0% to 5.0%" in strain
 
 
+def test_strain_is_said_along_the_way_that_it_goes():
+    for mean, low, high, text in (
+        (-0.03, -0.05, -0.01, "compressed along the depth by 3.00% in the mean, locally by 1.0%"),
+        (
+            0.03,
+            0.01,
+            0.05,
+            "stretched along the depth by 3.00% in the mean, locally by 1.0% to 5.0%.",
+        ),
+        (0.03, -0.01, 0.05, "locally by -1.0% to 5.0% (negative: compressed)."),
+        (-0.03, -0.03, -0.03, "compressed along the depth by 3.00% in the mean."),
+    ):
+        strain = {"e22 axial": {"mean": mean, "low": low, "high": high}}
+        assert text in found(changed(strains=strain))[-1]
+
+
 def test_lengths_are_in_px_where_no_pixel_size_was_said():
     summary = changed(pixel_size_from=None, pixel_size_um=[1.0, 1.0])
     assert Units(summary).say(2.5, 0) == "2.5 px"
@@ -76,6 +93,7 @@ def test_a_sequence_says_that_it_is_the_sum():
         ({"largest_motion_px": [2.0, 24.0]}, "doubt", "near the limit", "smaller steps"),
         ({"defect_share": [0.0, 0.02]}, "note", "2.0% of frame 2", "lower gain"),
         ({"dead_share": 0.2}, "note", "The mask leaves out 20%", ""),
+        ({"looks_linear": True}, "note", "looks like linear intensity", "--intensity log"),
     ],
 )
 def test_what_is_wrong_is_said_with_what_to_do(values, level, text, advice):

@@ -7,8 +7,10 @@ import numpy as np
 import pandas as pd
 import pytest
 import tifffile
+from scipy import ndimage
 from test_io import KINDS, written
 
+import eofm
 from eofm import io
 from eofm.app.cli import STEPS, main
 
@@ -85,6 +87,7 @@ def test_help_teaches_each_step(step, capsys):
     text = capsys.readouterr().out
     assert f"eofm {step} " in text.partition("options:")[0].partition("\n\n")[2]
     assert "px" in text
+    assert "--plane VALUE" not in text
 
 
 @pytest.mark.parametrize(
@@ -212,3 +215,24 @@ def test_an_estimate_that_must_not_be_trusted_says_so(folder, tmp_path, capsys):
     assert main([str(word) for word in words]) == 3
     assert capsys.readouterr().err.startswith("eofm estimate: failed: only ")
     assert (tmp_path / "u.tif").exists()
+
+
+def test_linear_intensity_is_said_once_and_changes_nothing(tmp_path, capsys):
+    """Speckle that fades by 25 dB: one line of `estimate` and `sample`, none of the logarithm."""
+    rng = np.random.default_rng(3)
+    wave = ndimage.gaussian_filter(rng.normal(size=(2, 72, 96)), (0, 1.2, 1.2))
+    I = np.hypot(*wave) * 10 ** (-1.25 * np.linspace(0, 1, 72))[:, None]
+    pair = [tmp_path / "a.tif", tmp_path / "b.tif"]
+    for path, image in zip(pair, (I, np.roll(I, 1, axis=1)), strict=True):
+        tifffile.imwrite(path, image.astype(np.float32))
+    assert main(["estimate", *map(str, pair), "--output", str(tmp_path / "u.tif")]) == 0
+    assert capsys.readouterr().err.count("linear intensity") == 1
+    u = eofm.estimate_displacement(*(io.read_image(path) for path in pair)).u
+    np.testing.assert_array_equal(io.read_field(tmp_path / "u.tif"), u.astype(np.float32))
+    words = ["sample", "--reference", str(pair[0]), "--deformed", str(pair[1]), "--error-bars", "0"]
+    words += ["--figures", "none", "--folder", str(tmp_path / "mine")]
+    for intensity, count in {"linear": 1, "log": 0}.items():
+        main([*words, "--intensity", intensity])
+        assert capsys.readouterr().err.count("linear intensity") == count
+        text = (tmp_path / "mine/report.html").read_text()
+        assert text.count("linear intensity") == count

@@ -69,6 +69,30 @@ def test_the_weight_chosen_is_near_the_best(noise):
     assert relative(estimate_displacement(*images).u, u) < 1.25 * min(errors)
 
 
+@pytest.mark.parametrize("wavelength", [40, 60])
+def test_motion_that_varies_within_some_speckles_is_found(wavelength):
+    """Weights that smooth it away are a minimum of the misfit too."""
+    x2, x1 = np.mgrid[:160, :150]
+    u = np.stack([1.2 * np.sin(2 * np.pi * x2 / wavelength), np.cos(2 * np.pi * x1 / wavelength)])
+    found = estimate_displacement(*speckle(u, count=2400, noise=0.02))
+    assert relative(found.u, u) < 0.1
+    assert found.trust.verdict == "good"
+
+
+def test_a_larger_weight_of_coarser_scales_counts_as_far_as_the_misfit_allows():
+    u = smooth_field()
+    I1, I2 = speckle(u, count=1500, noise=0.1)
+    shape = u.shape[1:]
+    free, zero = np.ones(shape, dtype=bool), np.zeros_like(u)
+    match = ImagePair(Grid(shape), I1, I2, free, free, True).linearise(u)
+    best, alone = choose_alpha(match, zero, zero, free, 1.0)
+    assert alone == best
+    _, used = choose_alpha(match, zero, zero, free, 1.0, (2 * best,))
+    assert used == pytest.approx(np.sqrt(2) * best)
+    _, used = choose_alpha(match, zero, zero, free, 1.0, (1e8 * best,))
+    assert best <= used < 1e3 * best
+
+
 def test_windows_stand_for_a_large_image():
     """More pixels to the same weight: its order of magnitude does not depend on windows."""
     shape = (400, 420)
@@ -76,13 +100,13 @@ def test_windows_stand_for_a_large_image():
     I1, I2 = speckle(u, count=12000, noise=0.1)
     free, zero = np.ones(shape, dtype=bool), np.zeros((2, *shape))
     match = ImagePair(Grid(shape), I1, I2, free, free, True).linearise(u)
-    chosen = choose_alpha(match, zero, zero, free, 1.0)
+    chosen, _ = choose_alpha(match, zero, zero, free, 1.0)
     part = np.s_[:300, :300]
     match = ImagePair(Grid((300, 300)), I1[part], I2[part], free[part], free[part], True).linearise(
         u[:, *part]
     )
     zero = zero[:, *part]
-    assert 0.1 < chosen / choose_alpha(match, zero, zero, free[part], 1.0) < 10
+    assert 0.1 < chosen / choose_alpha(match, zero, zero, free[part], 1.0)[0] < 10
 
 
 def test_places_drawn_count_as_all_of_them():

@@ -2,9 +2,11 @@
 
     python tests/fuzz/fuzz.py --count 1000000 --cores 2
 
-Each core reads in a process of its own, which is watched: where it ends, hangs for ten seconds or
-takes more than a gibibyte, the file counts as found and is kept in the folder ``found``. Move what
-was mended to ``tests/fuzz/corpus``; the tests read all that is there.
+A seed and a number are a file; ``--first`` goes on from a number, and ``--record`` adds to the
+figures of the files before. Each core reads in a process of its own, which is watched: where it
+ends, hangs for ten seconds or takes more than a gibibyte, the file counts as found and is kept in
+the folder ``found``. Move what was mended to ``tests/fuzz/corpus``; the tests read all that is
+there.
 """
 
 import argparse
@@ -33,10 +35,11 @@ sys.path += [str(Path(__file__).parents[2] / "workflow/scripts")]
 
 import seeds
 from commands import read_samples, sample_files, sample_words
+from record import record_part, recorded
 
 from eofm import io
 from eofm.errors import InputError
-from eofm.io import dicom, formats, hdf5, nifti, omezarr
+from eofm.io import dicom, formats, hdf5, matlab, nifti, omezarr
 
 SECONDS, MEMORY, IMAGE = 10, 1 << 30, 1 << 26
 # Libraries hang and crash, that for HDF5 the most; so many ends are tried in its own process.
@@ -92,7 +95,7 @@ def damaged(kinds: dict[str, list[bytes]], seed: int, number: int) -> tuple[str,
     return kind, seeds.damaged(kind, kinds[kind], random)
 
 
-def work(seed: int, first: int, step: int, count: int, say: Connection) -> None:
+def work(seed: int, first: int, step: int, stop: int, say: Connection) -> None:
     """Read every ``step``-th damaged file from the ``first`` on, and say what happens."""
     warnings.simplefilter("ignore")
     logging.disable()
@@ -103,7 +106,7 @@ def work(seed: int, first: int, step: int, count: int, say: Connection) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     shared = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
     with tempfile.TemporaryDirectory(dir=shared) as folder:
-        for number in range(first, count, step):
+        for number in range(first, stop, step):
             kind, data = damaged(kinds, seed, number)
             path = Path(folder, f"f{ENDINGS.get(kind, kind)}")
             path.write_bytes(data)
@@ -130,16 +133,19 @@ def _outcome(kind: str, path: Path) -> tuple[str, str | None]:
 
 
 def fuzz(
-    count: int, cores: int, seed: int, found: Path, show: Callable[[str], Any] = print
+    numbers: range, cores: int, seed: int, found: Path, show: Callable[[str], Any] = print
 ) -> tuple[Counter, list[str]]:
-    """Read damaged files; return how many of each kind were read or refused, and the faults."""
+    """Read the damaged files of some numbers.
+
+    Returns how many of each kind were read or refused, and the faults.
+    """
     context = multiprocessing.get_context("spawn")
     kinds, results, faults, most = seeds.make(), Counter(), [], 0
     running: dict[Connection, list] = {}
 
     def start(first: int) -> None:
         hear, say = context.Pipe(duplex=False)
-        child = context.Process(target=work, args=(seed, first, cores, count, say))
+        child = context.Process(target=work, args=(seed, first, cores, numbers.stop, say))
         child.start()
         say.close()
         running[hear] = [child, first]
@@ -159,7 +165,7 @@ def fuzz(
             faults.append(f"{path}: {fault}")
             show(faults[-1])
 
-    for first in range(cores):
+    for first in numbers[:cores]:
         start(first)
     while running:
         for hear in multiprocessing.connection.wait(list(running)):
@@ -187,7 +193,7 @@ def fuzz(
 
 def _contained(path: Path) -> str:
     """What is wrong with the line that the command has for a file that ends its reader."""
-    formats.PATIENCE = APART_SECONDS
+    formats.PATIENCE = matlab.PATIENCE = APART_SECONDS
     try:
         io.read_image(unpacked(path))
     except InputError as error:
@@ -195,16 +201,39 @@ def _contained(path: Path) -> str:
     return ""  # what ends the process now and then may be read at other times
 
 
+def note(
+    path: Path, seed: int, numbers: range, results: Counter, faults: list[str], again: str
+) -> None:
+    """Add the counts of some files to those of the files before them, in a file of figures."""
+    before = recorded(path).get("fuzz", {}) if numbers.start else {}
+    if before.get("seed", seed) != seed or before.get("files", 0) != numbers.start:
+        raise SystemExit(f"{path}: does not end with file {numbers.start - 1} of the seed {seed}")
+    values = {"seed": seed, "files": numbers.stop, "faults": len(faults) + before.get("faults", 0)}
+    for outcome in ("read", "refused", "contained"):
+        values[outcome] = sum(n for (_, o), n in results.items() if o == outcome)
+        values[outcome] += before.get(outcome, 0)
+    kinds = Counter(before.get("kinds", {}))
+    for (kind, _), number in results.items():
+        kinds[kind.removeprefix(".")] += number
+    record_part(path, "fuzz", again, values | {"kinds": dict(sorted(kinds.items()))})
+
+
 def main() -> int:
     """Run from the command line; 1 if anything was found."""
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--first", type=int, default=0, help="number of the first file")
     parser.add_argument("--count", type=int, default=1_000_000)
     parser.add_argument("--cores", type=int, default=2)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--found", type=Path, default=Path("found"))
+    parser.add_argument("--record", type=Path, help="JSON file of figures to add the counts to")
     args = parser.parse_args()
     started = time.monotonic()
-    results, faults = fuzz(args.count, args.cores, args.seed, args.found)
+    numbers = range(args.first, args.first + args.count)
+    results, faults = fuzz(numbers, args.cores, args.seed, args.found)
+    if args.record:
+        again = f"python tests/fuzz/fuzz.py --count {numbers.stop} --seed {args.seed}"
+        note(args.record, args.seed, numbers, results, faults, again)
     for (kind, outcome), number in sorted(results.items()):
         print(f"{kind:6} {outcome:10} {number}")
     print(f"{args.count} files in {time.monotonic() - started:.0f} s, {len(faults)} faults")

@@ -74,6 +74,12 @@ def sound(folder: Path) -> dict[str, list[bytes]]:
         with h5py.File(folder / "A.mat", "w", libver="latest" if more else "earliest") as file:
             file.create_dataset("A", data=I, **more).attrs["MATLAB_class"] = b"uint8"
         found["hdf5"].append((folder / "A.mat").read_bytes())
+    with h5py.File(folder / "A.h5", "w") as file:
+        file["scan/V"] = STACK * (1 + 1j)
+        file["scan/V"].attrs["element_size_um"] = [3.0, 2.0, 1.0]
+        parts = np.zeros(I.shape, [("real", "f8"), ("imag", "f8")])  # as MATLAB saves them
+        file.create_dataset("#refs#/A", data=parts).attrs["MATLAB_class"] = b"double"
+    found["hdf5"].append((folder / "A.h5").read_bytes())
     found |= _foreign(folder)
     return found | {".csv": [TABLE], ".yaml": [SETTINGS], ".tsv": [SAMPLES]}
 

@@ -24,7 +24,7 @@ def test_what_was_found_once_is_read_or_refused_in_one_line(path):
 
 @pytest.mark.slow
 def test_a_short_run_finds_nothing(tmp_path):
-    results, faults = fuzz.fuzz(count=3000, cores=1, seed=99, found=tmp_path)
+    results, faults = fuzz.fuzz(range(3000), cores=1, seed=99, found=tmp_path)
     assert faults == []
     assert sum(results.values()) == 3000
     kinds = {kind for kind, _ in results}

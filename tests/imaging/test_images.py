@@ -6,11 +6,12 @@ from hypothesis import strategies as st
 from scipy import ndimage
 from scipy.interpolate import CubicSpline
 
+import eofm
 from eofm.compiled import use_threads
 from eofm.errors import InputError
 from eofm.grid import inside
 from eofm.imaging.gaussian import blur, gaussians
-from eofm.imaging.intensity import normalise
+from eofm.imaging.intensity import looks_linear, normalise
 from eofm.imaging.splines import Spline, evaluate, gradient, resize, resize_field, warp
 
 
@@ -28,6 +29,35 @@ def test_constant_image_is_refused_by_name(value, which):
     images[which] = np.full((8, 8), value)
     with pytest.raises(InputError, match=f"image {which} compression is constant"):
         normalise(images["before"], images["after"])
+
+
+def fading(rng, power, shape=(96, 128), decay=25):
+    """Amplitude (power 1) or intensity (2) of speckle that fades by some dB over the depth."""
+    fade = 10 ** (-decay / 20 * np.linspace(0, 1, shape[0]))[:, None]
+    field = rng.normal(size=(2, *shape)) * fade
+    return np.hypot(*ndimage.gaussian_filter(field, (0, 1.2, 1.2))) ** power
+
+
+@pytest.mark.parametrize("power", [1, 2])
+def test_linear_intensity_is_told_from_its_logarithm(rng, power):
+    """A display of the logarithm has as large a contrast where its black is near the dark parts."""
+    I = fading(rng, power)
+    assert looks_linear(I)
+    assert looks_linear(np.stack([I] * 3))
+    assert looks_linear((2.0**16 * I / I.max()).astype(np.float32))
+    log = 20 * np.log10(I)
+    for lowest in (0, 2, 10):
+        assert not looks_linear(np.clip(log - np.percentile(log, lowest), 0, None))
+
+
+def test_what_needs_no_logarithm_is_not_taken_for_linear_intensity(rng):
+    phantom = eofm.Phantom(count=1500, noise=0.02)
+    for settings in (eofm.Phantom(), eofm.Phantom(noise=0.03), phantom, phantom.changed(noise=0)):
+        assert not looks_linear(eofm.make_phantom(np.zeros((2, 120, 180)), settings)[0])
+    assert not looks_linear(fading(rng, 1, decay=5))
+    assert not looks_linear(fading(rng, 1, shape=(20, 20)))
+    assert not looks_linear(fading(rng, 1) - 0.1)
+    assert not looks_linear(np.zeros((96, 128)))
 
 
 def test_signed_integers_do_not_wrap_around():

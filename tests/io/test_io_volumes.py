@@ -11,6 +11,8 @@ from scipy.io import savemat
 
 from eofm import io
 from eofm.errors import InputError
+from eofm.io.formats import read_array
+from eofm.io.tiff import write_tiff
 
 V = np.random.default_rng(0).normal(size=(9, 10, 11)).astype(np.float32)
 
@@ -181,3 +183,19 @@ def test_a_volume_that_is_too_large_is_refused_by_its_header(tmp_path):
                 io.read_image(path)
         finally:
             io.limit_size(None)
+
+
+@pytest.mark.parametrize("labels", [None, ["u1", "u2", "u3"]])
+def test_slices_make_the_same_file_as_all_at_once(tmp_path, labels, monkeypatch):
+    shape = (5, 3, 9, 11) if labels else (5, 9, 11)
+    V = np.random.default_rng(3).random(shape).astype(np.float32)
+    write_tiff(tmp_path / "whole.tif", V, labels, (2.0, 3.0, 4.0))
+    io.write_slices(tmp_path / "slices.tif", iter(V), shape, labels, (2.0, 3.0, 4.0))
+    assert (tmp_path / "whole.tif").read_bytes() == (tmp_path / "slices.tif").read_bytes()
+    # Beyond 4 GB.
+    monkeypatch.setattr("eofm.io.tiff.CLASSIC", 0)
+    io.write_slices(tmp_path / "large.tif", iter(V), shape, labels)
+    assert (tmp_path / "large.tif").read_bytes()[2] == 43
+    scan = read_array(tmp_path / "large.tif")
+    assert scan.axes == ("ZCYX" if labels else "ZYX")
+    np.testing.assert_array_equal(scan.values, V)

@@ -7,16 +7,19 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
+import tifffile
 
 import eofm
 from eofm import io
 from eofm.errors import InputError
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "workflow/scripts"))
-from parts import parts
+from parts import Size, memory, minutes, parts, seconds, size
 from runs import only_run
 from sample_rows import run_rows
+from samples_left import write_what_is_left
 
 
 def test_parts_hold_every_row_once_and_few_start():
@@ -25,6 +28,28 @@ def test_parts_hold_every_row_once_and_few_start():
     assert [name for part in found for name in part] == list(samples)
     assert len(found) <= 50
     assert parts(dict(list(samples.items())[:3])) == [["s0"], ["s1"], ["s2"]]
+
+
+def test_sizes_are_those_of_the_files_and_of_regions(tmp_path):
+    for name, values in {"a.tif": np.zeros((9, 12)), "v.tif": np.zeros((8, 9, 10))}.items():
+        io.write_image(tmp_path / name, values)
+    tifffile.imwrite(tmp_path / "bytes.tif", np.zeros((9, 12), np.uint8))
+    (tmp_path / "other.png").write_bytes(bytes(700))
+
+    def of(name, **more):
+        return size({"reference": str(tmp_path / name), **more})
+
+    assert of("a.tif") == of("bytes.tif") == (108, 2)
+    assert of("a.tif", roi="0 0 8 8") == (64, 2)
+    assert of("v.tif") == of("v.tif", roi="0 0 8 8") == (720, 3)
+    assert of("v.tif", roi="0 0 0 8 8 8") == (512, 3)
+    assert of("other.png") == (700, 2)
+    assert size({"reference": "nowhere.tif"}) == (100_000, 2)
+    # What is asked for grows with the rows in time, and with the largest in memory.
+    small, large = Size(10_000, 2), Size(4_000_000, 2)
+    assert memory([small, large, small]) == memory([large]) > 4 * memory([small])
+    assert seconds([small, large]) > seconds([large])
+    assert minutes([large] * 9) > minutes([large])
 
 
 @pytest.mark.slow
@@ -76,3 +101,26 @@ def test_a_folder_has_one_run_and_kill_9_leaves_no_lock(tmp_path):
     held = only_run(tmp_path)
     assert held is not None
     held.close()
+
+
+def test_rows_of_a_killed_job_stand_in_the_table_with_what_the_cluster_says(tmp_path, capsys):
+    kept = {"sample": "a", "state": "done", "reason": "", "seconds": 1.5, "key": "x"}
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a/.state.json").write_text(json.dumps(kept))
+    log = tmp_path / "run.log"
+    log.write_text(
+        "Error in rule samples_1:\n"
+        "    message: SLURM-job '7' failed, SLURM status is: 'TIMEOUT'. Detailed reason: none.\n"
+        "    jobid: 4\n"
+        "Error in rule samples_2:\n    jobid: 5\n"
+    )
+    rows = {"a": "samples_0", "b": "samples_1", "c": "samples_2"}
+    write_what_is_left(rows, tmp_path, [str(log)])
+    table = pd.read_csv(tmp_path / "summary.csv").set_index("sample")
+    assert table.state.to_dict() == {"a": "done", "b": "crashed", "c": "crashed"}
+    ended = "its job ended before it was done"
+    assert table.reason["b"].startswith(
+        f"{ended} (SLURM-job '7' failed, SLURM status is: 'TIMEOUT')"
+    )
+    assert table.reason["c"] == f"{ended}; the next run tries it again"
+    assert capsys.readouterr().err.splitlines()[-1] == "2 of 3 samples have no results"

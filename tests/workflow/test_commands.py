@@ -4,6 +4,7 @@ import shlex
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from eofm.errors import InputError
@@ -11,6 +12,7 @@ from eofm.settings import Estimation, Inclusion, Sample
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "workflow/scripts"))
 from commands import options, read_samples, sample_files, sample_words
+from tiled import counts, levels, numbers, tile_memory, tiled, voxels
 
 
 def test_options_state_every_value():
@@ -66,3 +68,18 @@ def test_a_row_becomes_options_and_files(tmp_path):
     assert sample_files(mine) == [str(image), "results/after.tif", str(edge)]
     assert set(other) == {"reference", "bottom"}
     assert sample_files(other) == []
+
+
+def test_jobs_of_a_volume_in_tiles_follow_its_row(tmp_path):
+    np.save(tmp_path / "V.npy", np.zeros((64, 64, 64), np.uint8))
+    row = {"reference": str(tmp_path / "V.npy"), "tiles": "4 4 2", "overlap": "8"}
+    assert tiled({"a": row, "b": {}}) == {"a": row}
+    assert counts(row) == (2, 4, 4)
+    assert levels(row) == 2
+    assert [len(numbers(row, level)) for level in (0, 1, 2)] == [32, 4, 1]
+    # A tile of 16 x 16 x 32 with 8 on either side, or on one.
+    assert voxels(row) == 32 * 32 * 40
+    assert tile_memory(row) < tile_memory(row | {"tiles": "2 2 2"})
+    assert counts(row | {"tiles": "2 x 2"}) == (1, 1, 1)
+    assert levels(row | {"factor": "0.25"}) == 1
+    assert voxels(row | {"reference": "nowhere.npy"}) > 0

@@ -19,11 +19,12 @@ RULES = {
     for path in sorted((ROOT / "workflow/rules").glob("*.smk"))
     for name, text in re.findall(r"(?ms)^rule (\w+):\n(.*?)(?=^\S|\Z)", path.read_text())
 }
-# What a rule runs: the name of a script, or of a step of the command.
+# What a rule runs: the name of a script, or of a step of the command, which a script may run.
 RUN = {
-    name: found.group(1)
+    name: (step or found).group(1)
     for name, text in RULES.items()
     if (found := re.search(r'"(?:\.\./scripts/|eofm )([\w.-]+)', text))
+    for step in [re.search(r'words=lambda wildcards: \[\s*"([\w-]+)"', text)]
 }
 # Does nothing but the imports of scripts and steps, and says which files of ours came with them.
 IMPORT = """

@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -29,6 +30,38 @@ def test_examples_that_were_not_run_are_found(tmp_path):
     scripts = sorted(path.name for path in (ROOT / "docs/examples").glob("*.py"))
     assert len(scripts) >= 15
     assert list(check_site.missing_examples(tmp_path)) == [f"{s}: was not run" for s in scripts]
+
+
+def test_functions_without_docs_are_found(tmp_path, monkeypatch):
+    def lonely(u, v=1):
+        """Do something.
+
+        Parameters
+        ----------
+        u : ndarray
+        """
+
+    class Bare:
+        pass
+
+    bare = SimpleNamespace(__all__=["lonely", "Bare"], lonely=lonely, Bare=Bare)
+    bare.io = SimpleNamespace(write_more=lambda path: None)
+    monkeypatch.setattr(check_site, "eofm", bare)
+    monkeypatch.setattr(check_site, "DOCS", tmp_path)
+    record = tmp_path / "gallery/backreferences/backreferences_all.json"
+    record.parent.mkdir(parents=True)
+    record.write_text('{"eofm.other": ["plot_01"]}')
+    page = "has no page; add it to docs/reference/api.md"
+    assert list(check_site.undocumented(tmp_path)) == [
+        f"eofm.lonely: {page}",
+        "eofm.lonely: its docstring says nothing of v",
+        "eofm.lonely: no example in docs/examples uses it",
+        f"eofm.Bare: {page}",
+        "eofm.Bare: has no docstring",
+        f"eofm.io.write_more: {page}",
+        "eofm.io.write_more: has no docstring",
+        "eofm.io.write_more: its docstring says nothing of path",
+    ]
 
 
 def test_examples_run_again_after_an_edit_of_the_library(tmp_path):

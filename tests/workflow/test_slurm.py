@@ -1,5 +1,6 @@
 """The Slurm profile on a real node of Slurm on this machine."""
 
+import contextlib
 import os
 import shutil
 import socket
@@ -7,8 +8,16 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from subprocess import PIPE
 
+import numpy as np
+import pandas as pd
+import psutil
 import pytest
+
+import eofm
+from eofm import io
+from eofm.app.cli import main
 
 NEEDED = os.environ.get("EOFM_NEEDS_SLURM") == "1"
 TOOLS = ("slurmctld", "slurmd", "munged", "sbatch")
@@ -49,6 +58,7 @@ SelectType=select/cons_tres
 SelectTypeParameters=CR_Core_Memory
 ReturnToService=2
 MinJobAge=3600
+KillWait=1
 NodeName={host} NodeAddr=127.0.0.1 CPUs={cpus} RealMemory={memory} State=UNKNOWN
 PartitionName=main Nodes={host} Default=YES MaxTime=INFINITE State=UP
 """
@@ -89,23 +99,90 @@ def slurm(tmp_path_factory):
             break
         time.sleep(0.5)
     yield env
+    subprocess.run(["scancel", "--me", "--full", "--signal=KILL"], env=env, check=True)
     for file in (folder / "slurmd.pid", folder / "slurmctld.pid", folder / "munge/pid-file"):
         if file.exists():
             os.kill(int(file.read_text()), 15)
     default.unlink(missing_ok=True)
 
 
-def test_a_run_on_slurm_gives_the_bytes_of_a_local_one(slurm, tmp_path, pytestconfig):
-    root = pytestconfig.rootpath
-    target, written = "results/phantom/background.tif", []
-    for profile in ("default", "slurm"):
-        folder = tmp_path / profile
+ROWS = ("one", "two", "three")
+
+
+class Run:
+    """The target `samples` on Slurm, a job for each of three rows."""
+
+    def __init__(self, folder, root, slurm):
+        self.folder, self.root, self.env = folder, root, slurm | {"PYTHONPATH": str(root)}
         shutil.copytree(root / "config", folder / "config")
-        command = [sys.executable, "-m", "snakemake", "--snakefile", root / "Snakefile"]
-        command += ["--profile", root / "profiles" / profile, "--directory", folder]
-        command += ["--configfile", "config/config.yaml", root / "tests/small.yaml", "--", target]
-        env = slurm | {"PYTHONPATH": str(root)}
-        done = subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
-        written.append((folder / target).read_bytes())
-    assert written[0] == written[1]
+        u = np.zeros((2, 40, 60))
+        u[1] = -0.02 * np.arange(40)[:, None]
+        for name, I in zip("ab", eofm.make_phantom(u, eofm.Phantom(count=60)), strict=False):
+            io.write_image(folder / f"{name}.tif", I)
+        lines = ["sample\treference\tdeformed\tfigures\terror_bars"]
+        lines += [f"{row}\ta.tif\tb.tif\tnone\t0" for row in ROWS]
+        (folder / "config/samples.tsv").write_text("\n".join(lines) + "\n")
+
+    def start(self):
+        command = [sys.executable, "-m", "snakemake", "--snakefile", self.root / "Snakefile"]
+        command += ["--profile", self.root / "profiles/slurm", "--directory", self.folder]
+        command += ["samples", "--slurm-init-seconds-before-status-checks", "1"]
+        return subprocess.Popen(
+            command,
+            cwd=self.folder,
+            env=self.env,
+            stdout=subprocess.DEVNULL,
+            stderr=PIPE,
+            text=True,
+        )
+
+    def at_work(self, running):
+        """Jobs of two rows by their names, whose processes wait from then on."""
+        found = {}
+        while len(found) < 2:
+            assert running.poll() is None, running.stderr.read()
+            time.sleep(0.2)
+            for process in psutil.process_iter(["cmdline", "environ"]):
+                job = (process.info["environ"] or {}).get("SLURM_JOB_ID")
+                if job and "spawn_main" in " ".join(process.info["cmdline"] or []):
+                    words = " ".join(w for p in process.parents() for w in p.cmdline())
+                    found |= {row: job for n, row in enumerate(ROWS) if f"samples_{n}" in words}
+                    process.suspend()
+        return found
+
+    def results(self):
+        """Displacements by row."""
+        return {
+            p.parent.name: p.read_bytes() for p in self.folder.glob("results/*/*/displacement.tif")
+        }
+
+
+def test_jobs_past_their_time_and_killed_ones_cost_their_rows(slurm, tmp_path, pytestconfig):
+    run = Run(tmp_path, pytestconfig.rootpath, slurm)
+    running = run.start()
+    (late, in_time), (killed, dying) = run.at_work(running).items()
+    # One never ends, and its time is up in a second instead of minutes; one dies on its node.
+    limit = ["scontrol", "update", f"JobId={in_time}", "EndTime=now+1"]
+    subprocess.run(limit, env=slurm, check=True)
+    for process in psutil.process_iter(["environ"]):
+        if (process.info["environ"] or {}).get("SLURM_JOB_ID") == dying:
+            process.kill()
+    said = running.communicate(timeout=900)[1]
+    assert running.returncode == 1
+    assert "2 of 3 samples have no results" in said
+    table = pd.read_csv(tmp_path / "results/samples/summary.csv").set_index("sample")
+    (sound,) = set(ROWS) - {late, killed}
+    assert table.state.to_dict() == {late: "crashed", killed: "crashed", sound: "done"}
+    assert "TIMEOUT" in table.reason[late]
+    assert "FAILED" in table.reason[killed]
+    assert set(run.results()) == {sound}
+
+    # The next run makes what is missing: the bytes are those of a step on this machine.
+    again = run.start()
+    said = again.communicate(timeout=900)[1]
+    assert again.returncode == 0, said
+    words = ["sample", "--reference", "a.tif", "--deformed", "b.tif", "--folder", "here"]
+    with contextlib.chdir(tmp_path):
+        assert main([*words, "--figures", "none", "--error-bars", "0"]) == 0
+    here = (tmp_path / "here/displacement.tif").read_bytes()
+    assert run.results() == dict.fromkeys(ROWS, here)

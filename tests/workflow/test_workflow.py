@@ -16,6 +16,9 @@ from matplotlib.image import imread
 from eofm.analysis.metrics import relative_errors
 from eofm.io import read_field
 
+sys.path.insert(0, str(Path(__file__).parents[2] / "workflow/scripts"))
+from reliability import compare
+
 PARTS = ["Snakefile", "config", "workflow", "profiles", "eofm", "tests/small.yaml"]
 
 
@@ -63,20 +66,24 @@ def reruns(result: subprocess.CompletedProcess) -> set[str]:
 
 
 ROWS = [
-    ["sample", "reference", "deformed", "top", "bottom", "scales", "roi"],
+    ["sample", "reference", "deformed", "top", "bottom", "scales", "roi", "tiles", "overlap"],
     ["good", "results/phantom/reference.tif", "results/phantom/deformed.tif"]
     + ["fixed", "moved 0 -2", "3", "0 0 70 45"],
     ["edge", "results/phantom/reference.tif", "results/phantom/deformed.tif", "glued"],
     ["missing", "nowhere.tif#2", "results/phantom/deformed.tif"],
+    ["tiled", "results/volume/speckle/reference.tif", "results/volume/speckle/deformed.tif"]
+    + ["", "", "", "", "2 1 1", "8"],
+    ["thin", "results/volume/speckle/reference.tif", "results/volume/speckle/deformed.tif"]
+    + ["", "", "", "", "2 1 1", "20"],
     ["# a comment"],
 ]
 
 
 @pytest.fixture(scope="session")
 def project(tmp_path_factory, pytestconfig):
-    """A project in which all targets have run at once; two samples of three cannot be used."""
+    """A project in which all targets have run at once; three samples of five cannot be used."""
     project = Project(tmp_path_factory.mktemp("project"), pytestconfig.rootpath)
-    lines = ["\t".join(row + [""] * (7 - len(row))).rstrip("\t") for row in ROWS]
+    lines = ["\t".join(row + [""] * (9 - len(row))).rstrip("\t") for row in ROWS]
     (project.root / "pairs.tsv").write_text("\n".join(lines) + "\n")
     project.result = project.run(
         *("--cores", "2", "all", "accuracy", "samples", "virtual_oct"),
@@ -95,13 +102,23 @@ def test_one_bad_sample_fails_the_run_not_the_others(project):
     assert '"steps": 1' in (folder / "summary.json").read_text()
 
 
+def test_a_row_takes_about_the_memory_that_is_said_before(project):
+    good, *refused = compare(project.root, "pairs.tsv")
+    assert len(refused) == 2  # rows in tiles have jobs of their own
+    assert 1 / 1.5 < good["mb"] < 1.5
+
+
 @pytest.mark.parametrize(
     ("name", "message"),
-    [("edge", "edge: top: cannot read 'glued'"), ("missing", "missing: nowhere.tif: no such file")],
+    [
+        ("edge", "sample: edge: top: cannot read 'glued'"),
+        ("missing", "sample: missing: nowhere.tif: no such file"),
+        ("thin", "gather: thin: tiles: 2 of them leave 16 px each"),
+    ],
 )
 def test_a_bad_sample_is_named_in_one_line(project, name, message):
     log = (project.root / f"logs/samples/{name}.log").read_text()
-    assert log.startswith(f"eofm sample: {message}")
+    assert log.startswith(f"eofm {message}")
     assert log.count("\n") == 1
     assert not (project.root / f"results/samples/{name}/summary.json").exists()
 
@@ -248,6 +265,24 @@ def test_volume(project):
     for images in ("bubbles", "speckle"):
         assert imread(folder / f"{images}.png").std() > 0.05
         assert (folder / f"{images}.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_a_volume_in_tiles(project):
+    folder = project.root / "results/samples/tiled"
+    found = read_field(folder / "displacement.tif")
+    errors = relative_errors(found, read_field(project.root / "results/volume/true.tif"))
+    background = pd.read_csv(project.root / "results/volume/errors.csv").e_rel[0]
+    assert errors["e_rel"] < 0.7 * background
+    assert imread(folder / "strain.png").std() > 0.05
+    table = pd.read_csv(project.root / "results/samples/summary.csv", index_col="sample")
+    assert table.state.to_dict() == {
+        "good": "done",
+        "edge": "unusable",
+        "missing": "unusable",
+        "tiled": "done",
+        "thin": "unusable",
+    }
+    assert 'data-sample="tiled"' in (project.root / "results/samples/index.html").read_text()
 
 
 def test_benchmark_volume(project):

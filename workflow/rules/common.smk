@@ -1,6 +1,7 @@
 """Checked settings, and what every rule needs to state its command and its inputs."""
 
 import os
+import re
 import sys
 from functools import cache
 from pathlib import Path
@@ -17,8 +18,9 @@ sys.path.insert(0, str(SCRIPTS))
 from commands import options, read_samples, sample_files, sample_words
 from deploy import prefix
 from imports import Sources
-from parts import memory, minutes, parts, pixels
+from parts import asked_memory, minutes, parts, size
 from runs import only_run
+from tiled import levels, numbers, tile_memory, tile_minutes, tiled
 
 # A step that ends with 3 has written a result that it says not to trust: the log says why, and
 # what follows shows it.

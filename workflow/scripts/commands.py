@@ -12,7 +12,8 @@ import pandas as pd
 
 from eofm.app.cli import ANALYSIS
 from eofm.errors import InputError
-from eofm.settings import Section
+from eofm.grid import FACES
+from eofm.settings import Section, Tiling
 
 # Letters of a wrong name that a message repeats.
 LONGEST = 60
@@ -42,7 +43,8 @@ def read_samples(path: str) -> dict[str, dict[str, str]]:
         In one line: what is wrong with the table, and what to do.
     """
     table = _read_table(path)
-    known = ["sample", "settings", *(key for section in ANALYSIS for key in section.model_fields)]
+    sections = (*ANALYSIS, Tiling)
+    known = ["sample", "settings", *(key for section in sections for key in section.model_fields)]
     for column in table:
         if column not in known:
             close = get_close_matches(column, known, 1)
@@ -85,6 +87,6 @@ def sample_files(row: dict[str, str]) -> list[str]:
     keys = ("reference", "deformed", "frames", "mask", "settings", "background")
     names = [row.get(key, "") for key in keys]
     # The file is the last word: moved FILE, outside moved FILE.
-    names += [row.get(edge, "").rpartition(" ")[2] for edge in ("top", "bottom", "left", "right")]
+    names += [row.get(edge, "").rpartition(" ")[2] for edge in FACES]
     files = [name.partition("#")[0] for name in names if name]
     return [f for f in files if f.startswith("results/") or os.path.isfile(f)]

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from eofm.app.config import Config, load
-from eofm.settings import Pair, Section
+from eofm.settings import Pair, Section, Tiling
 
 FOLDER = Path(__file__).parents[2] / "config"
 MARK = "<!-- The tables below are written by workflow/scripts/describe_config.py. -->"
@@ -27,6 +27,7 @@ def readme(text: str) -> str:
     head, _, _ = text.partition(MARK)
     experiment = load(FOLDER / "config.yaml").model_dump(mode="json")
     lines = [*_tables(Config, "", experiment), *_tables(Pair, "pair.", None)]
+    lines += _tables(Tiling, "tiling.", None)
     return head + MARK + "\n" + "\n".join(lines)
 
 

@@ -3,6 +3,8 @@
 A row that cannot be used, ends the process or takes too long costs only itself. Rows whose results
 are there and come from the same options, files and code are left as they are; rows that crashed,
 which need not be their fault, are tried again by the next run.
+
+Snakemake removes the states of all rows of a job that was killed, so each row keeps a copy.
 """
 
 import contextlib
@@ -18,7 +20,7 @@ from multiprocessing import connection, get_context, parent_process
 from pathlib import Path
 from typing import Any
 
-STATE = "state.json"
+STATE, KEPT = "state.json", ".state.json"
 # Exit statuses of the step with results.
 DONE, NOT_TRUSTED = 0, 3
 # Exit status of wrong usage.
@@ -50,8 +52,11 @@ def run_rows(rows: dict[str, dict[str, Any]], folder: Path, code: list[str], thr
         place.mkdir(parents=True, exist_ok=True)
         key = _key(row["words"], row["files"], made_by)
         if _has_results(place, key):
+            if not (place / STATE).exists():
+                _write(place / STATE, kept(place))
             continue
-        (place / STATE).unlink(missing_ok=True)
+        for file in (STATE, KEPT):
+            (place / file).unlink(missing_ok=True)
         Path(row["log"]).parent.mkdir(parents=True, exist_ok=True)
         words = ["sample", f"--folder={place}", f"--threads={threads}", *row["words"]]
         started = time.monotonic()
@@ -61,10 +66,19 @@ def run_rows(rows: dict[str, dict[str, Any]], folder: Path, code: list[str], thr
             late = time.monotonic() - started >= row["seconds"]
             _say(name, row, f"took longer than {row['seconds']} s" if late else ENDED)
             status, pool = None, _pool()
-        state = {"sample": name} | _state(status, place, Path(row["log"]))
+        state = {"sample": name} | state_of(status, place, Path(row["log"]))
         state |= {"seconds": round(time.monotonic() - started, 2), "key": key}
-        _write(place / STATE, state)
+        for file in (KEPT, STATE):
+            _write(place / file, state)
     pool.shutdown()
+
+
+def kept(place: Path, name: str = KEPT) -> dict[str, Any]:
+    """What a row says of itself, also where its job was killed later; nothing if it did not end."""
+    try:
+        return json.loads((place / name).read_text())
+    except (OSError, ValueError):
+        return {}
 
 
 def _pool() -> ProcessPoolExecutor:
@@ -122,12 +136,12 @@ def _say(name: str, row: dict[str, Any], what: str) -> None:
     Path(row["log"]).write_text(f"eofm sample: {name}: {what}\n")
 
 
-def _state(status: int | None, place: Path, log: Path) -> dict[str, Any]:
+def state_of(status: int | None, place: Path, log: Path) -> dict[str, Any]:
     """What a row of the summary says of a sample."""
     said = log.read_text() if log.exists() else ""
     reason = " ".join(said.split()).removeprefix("eofm sample: ").removeprefix(f"{place.name}: ")
     if status is None:
-        return {"state": CRASHED, "reason": f"{reason}; the next run tries it again"}
+        return crashed(reason)
     if status not in (DONE, NOT_TRUSTED):
         return {"state": UNUSABLE, "reason": reason}
     summary = json.loads((place / "summary.json").read_text())
@@ -141,7 +155,8 @@ def _state(status: int | None, place: Path, log: Path) -> dict[str, Any]:
         "u2_least_px": summary["u2_range_px"][0],
         "u2_most_px": summary["u2_range_px"][1],
         "axial_strain_mean": summary["axial_strain_mean"],
-        "forward_backward_error_median_px": summary["forward_backward_error_median_px"],
+        # Tiles are not estimated backwards.
+        "forward_backward_error_median_px": summary.get("forward_backward_error_median_px"),
     }
     return {
         "state": READY,
@@ -151,11 +166,13 @@ def _state(status: int | None, place: Path, log: Path) -> dict[str, Any]:
     }
 
 
+def crashed(reason: str) -> dict[str, Any]:
+    """What is said of a row that may work next time."""
+    return {"state": CRASHED, "reason": f"{reason}; the next run tries it again"}
+
+
 def _has_results(place: Path, key: str) -> bool:
-    try:
-        state = json.loads((place / STATE).read_text())
-    except (OSError, ValueError):
-        return False
+    state = kept(place)
     wanted = state.get("state") != READY or (place / "summary.json").is_file()
     return state.get("key") == key and state.get("state") != CRASHED and wanted
 
@@ -171,7 +188,7 @@ def _checksum(file: str) -> str:
 
 
 def _write(path: Path, state: dict[str, Any]) -> None:
-    temporary = path.with_suffix(".tmp")
+    temporary = path.with_name(f"{path.name}.tmp")
     try:
         temporary.write_text(json.dumps(state, indent=1) + "\n")
         temporary.replace(path)

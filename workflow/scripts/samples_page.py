@@ -1,4 +1,4 @@
-"""A table of all samples as HTML: for the first page of the report, and with their own pages."""
+"""A table of all samples: as CSV, for the first page of the report, and with their own pages."""
 
 import html
 import json
@@ -6,17 +6,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import tifffile
 
 from eofm.analysis.findings import Units
 from eofm.analysis.pictures import png
+from eofm.io import replacing
+
+# Files of the table.
+CSV, HTML, PART = "summary.csv", "index.html", "table.html"
+FIRST = ["sample", "state", "reason", "verdict", "seconds"]
 
 # Samples that are shown, and bytes of their own pages that go into one page.
 SHOWN, EMBEDDED = 500, 8_000_000
 SIDE = 96
 COLOURS = {"good": "#2f7d56", "doubtful": "#b45f06", "failed": "#b3261e"}
 CELL = "padding: 4px 14px 4px 0; text-align: left; vertical-align: middle;"
-NARROW = CELL + " white-space: nowrap;"
+NARROW = CELL + " white-space: nowrap; border-top: 1px solid #8884"
 HEAD = ("sample", "axial motion", "state", "motion, least to most", "axial strain", "seconds")
 
 PAGE = """<!doctype html>
@@ -46,6 +52,19 @@ for (const link of document.querySelectorAll("a[data-sample]")) {
 """
 
 
+def write(states: list[dict[str, Any]], folder: Path) -> None:
+    """Write the table in all its forms to the folder of the samples' folders."""
+    columns = [*FIRST, *sorted({k for s in states for k in s} - {*FIRST})]
+    rows = pd.DataFrame(states, columns=columns).drop(columns="key", errors="ignore")
+    with replacing(folder / CSV) as temporary:
+        rows.to_csv(temporary, index=False, float_format="%.6g")
+    with replacing(folder / HTML) as temporary:
+        temporary.write_text(page(states, folder), encoding="utf-8")
+    # For the first page of the report, which lies beside the folder results.
+    with replacing(folder / PART) as temporary:
+        temporary.write_text(table(states, folder, folder.as_posix()), encoding="utf-8")
+
+
 def table(states: list[dict[str, Any]], folder: Path, links: str) -> str:
     """A row for each sample, with a link to its page.
 
@@ -62,7 +81,8 @@ def table(states: list[dict[str, Any]], folder: Path, links: str) -> str:
     rows = "".join(_row(state, folder, links) for state in states[:SHOWN])
     more = len(states) - SHOWN
     note = f"<p>{more} more are in summary.csv.</p>" if more > 0 else ""
-    return f'<table style="border-collapse: collapse"><tr>{head}</tr>{rows}</table>{note}'
+    shown = f'<table style="border-collapse: collapse"><tr>{head}</tr>{rows}</table>'
+    return f'<div style="overflow-x: auto">{shown}</div>{note}'
 
 
 def page(states: list[dict[str, Any]], folder: Path) -> str:
@@ -81,8 +101,7 @@ def page(states: list[dict[str, Any]], folder: Path) -> str:
 def _row(state: dict[str, Any], folder: Path, links: str) -> str:
     name, verdict = html.escape(state["sample"]), state.get("verdict", state["state"])
     colour = COLOURS.get(verdict, "#b3261e")
-    reason = html.escape(state.get("reason", ""))
-    cells = [name, "", f'<b style="color: {colour}">{html.escape(verdict)}</b><br>{reason}']
+    cells = [name, "", f'<b style="color: {colour}">{html.escape(verdict)}</b>']
     summary = folder / state["sample"] / "summary.json"
     motion, strain = "", ""
     if state["state"] == "done" and summary.is_file():
@@ -91,12 +110,12 @@ def _row(state: dict[str, Any], folder: Path, links: str) -> str:
         cells[1] = _thumbnail(summary.parent, values)
         motion = "<br>".join(_ranges(values))
         strain = f"{100 * values['axial_strain_mean']:.2f} %"
-    cells += [motion, strain, f"{state['seconds']:.3g}"]
-    shown = "".join(
-        f'<td style="{CELL if k == 2 else NARROW} border-top: 1px solid #8884">{cell}</td>'
-        for k, cell in enumerate(cells)
-    )
-    return f"<tr>{shown}</tr>\n"
+    cells += [motion, strain, f"{state['seconds']:.3g}" if "seconds" in state else ""]
+    rows = "<tr>" + "".join(f'<td style="{NARROW}">{cell}</td>' for cell in cells) + "</tr>\n"
+    if reason := html.escape(state.get("reason", "")):
+        # Below, where it has room.
+        rows += f'<tr><td></td><td style="{CELL}" colspan="{len(HEAD) - 1}">{reason}</td></tr>\n'
+    return rows
 
 
 def _ranges(summary: dict[str, Any]) -> list[str]:
@@ -107,9 +126,11 @@ def _ranges(summary: dict[str, Any]) -> list[str]:
 
 
 def _thumbnail(place: Path, summary: dict[str, Any]) -> str:
-    u = tifffile.imread(place / "displacement.tif")
+    u = tifffile.memmap(place / "displacement.tif", mode="r")
     axial = u[1] if u.ndim == 3 else u[:, 1]
-    low, high = (float(f(axial)) for f in (np.nanmin, np.nanmax))
+    # Of volumes in tiles, only the sections are read.
+    ends = summary["u2_range_px"] if "tiles" in summary else (np.nanmin(axial), np.nanmax(axial))
+    low, high = map(float, ends)
     high = high if high > low else low + 1
     address, (width, height) = png(axial, (low, high), "viridis", summary["pixel_size_um"], SIDE)
     scale = SIDE / max(width, height)
