@@ -217,7 +217,7 @@ def analyse(
     share = data_share(
         normalised(first, last, estimation, pixel_size)[0],
         estimation.smoothness,
-        steps[-1].estimate.alpha,
+        steps[-1].estimate.weight,
         estimation.sigma,
         unit_spacing(pixel_size),
         dead,

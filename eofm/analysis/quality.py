@@ -34,7 +34,7 @@ def inconsistency(forward: Array, backward: Array) -> Array:
 def data_share(
     I1: Array,
     smoothness: str,
-    alpha: float,
+    alpha: float | Array,
     width: float,
     spacing: Sequence[float],
     dead: Mask,
@@ -54,14 +54,13 @@ def data_share(
     for product, (i, j) in zip(A, combinations_with_replacement(range(n), 2), strict=True):
         product[...] = blur(g[i] * g[j], window)
     del g
-    held = n / 2 * alpha / width**2
-    if smoothness == "bending":
-        held = n * (n + 2) / 4 * alpha / width**4
+    stiffness = n / 2 / width**2 if smoothness == "gradient" else n * (n + 2) / 4 / width**4
+    held = np.broadcast_to(stiffness * alpha, I1.shape)
     share: Array = A[0]
     smallest = _smaller if n == 2 else _smallest
     for k in range(len(share)):
         least = np.maximum(smallest(*A[:, k].astype(np.float64)), 0)
-        share[k] = least / (least + held)
+        share[k] = least / (least + held[k])
     return share.copy()
 
 

@@ -437,7 +437,8 @@ def _solve_coarse(work: Work) -> tuple[float, ...]:
     compared = min(largest_small(problem.grids), len(problem.grids) - 1 - FINEST, count - 1)
     u, chosen = problem.u_bg, tuple[float, ...]()
     for number, pair in enumerate(pairs):
-        u, _, _, chosen = problem.level(number, pair, u).improve(chosen, False)
+        better = problem.level(number, pair, u).improve(chosen, False)
+        u, chosen = better.u, better.chosen
         if plan.estimation.robust and number == compared:
             u = best_start(problem, number, pairs, u)
     field = work.new(f"field_{plan.levels}", u.shape)

@@ -17,7 +17,7 @@ from eofm.flow.trust import Trust, judge
 from eofm.flow.uncertainty import Errors
 from eofm.grid import Array, Edge, Grid, componentwise, unit_spacing
 from eofm.imaging.intensity import normalise_locally
-from eofm.imaging.splines import resize_field
+from eofm.imaging.splines import resize, resize_field
 from eofm.settings import Estimation
 
 # Side of the image, or volume, on which starts are compared, samples.
@@ -35,7 +35,7 @@ class Estimate:
         right), axial (down) and, of volumes, elevational motion of what was at x before
         compression.
     alpha : float
-        Weight of the smoothness term on the last scale.
+        Weight of the smoothness term on the last scale, of the preset where motion is rough.
     pair : ImagePair
         The images on the last scale.
     denoising : float, optional
@@ -44,6 +44,8 @@ class Estimate:
         The F that was minimised last.
     base : ndarray, shape (ndim, ...)
         The field to which the last scale added what R acts on, in the unit of ``functional``.
+    ease : ndarray, shape (height, width), optional
+        By which alpha is divided at each pixel, see :func:`eofm.flow.roughness.ease`.
     spacing : tuple of float
         Sides of a pixel in the unit of ``functional``, lateral first.
     edges : tuple of str
@@ -56,8 +58,16 @@ class Estimate:
     denoising: float | None
     functional: Quadratic
     base: Array
+    ease: Array | None
     spacing: tuple[float, ...]
     edges: tuple[Edge, ...] = ()
+
+    @property
+    def weight(self) -> float | Array:
+        """Weight of the smoothness term, at each pixel where it is not alike everywhere."""
+        if self.ease is None:
+            return self.alpha
+        return self.alpha / resize(self.ease, self.u.shape[1:])
 
     @property
     def _sides(self) -> Array:
@@ -120,7 +130,8 @@ class Estimate:
     @cached_property
     def errors(self) -> Errors:
         """What errors are drawn from."""
-        return Errors(self.functional, self.match, self.match.u - self.base)
+        match = self.match.eased(self.ease)
+        return Errors(self.functional, match, match.u - self.base, self.ease)
 
 
 def estimate_displacement(
@@ -192,13 +203,13 @@ def estimate_displacement(
     compared = min(largest_small(problem.grids), len(pairs) - 1 - FINEST)
     for number, pair in enumerate(tqdm(pairs, "scales", disable=hidden)):
         level = problem.level(number, pair, u)
-        u, alpha, F, chosen = level.improve(chosen, progress)
+        u, alpha, F, chosen, factor = level.improve(chosen, progress)
         if settings.robust and number == compared:
             u = best_start(problem, number, pairs, u)
     spacing = unit_spacing(known.sides(I1.ndim))
     u = problem.carried(u, I1.shape) / componentwise(spacing, I1.ndim)
     edges = tuple(problem.v_edges)
-    return Estimate(u, alpha, pair, settings.denoising, F, level.base, spacing, edges)
+    return Estimate(u, alpha, pair, settings.denoising, F, level.base, factor, spacing, edges)
 
 
 def largest_small(grids: Sequence[Grid]) -> int:

@@ -73,6 +73,10 @@ class Pointwise:
     def __add__(self, other: Self) -> "Pointwise":
         return Pointwise(self.A + other.A, self.b + other.b)
 
+    def times(self, factor: Array) -> "Pointwise":
+        """The same, multiplied by a factor at each pixel."""
+        return Pointwise(factor * self.A, factor * self.b)
+
 
 def isotropic(a: Array, b: Array) -> Pointwise:
     """Density of ``a v . v - 2 v . b``, for ``a`` of the grid's shape."""

@@ -114,6 +114,13 @@ class Match:
         root = np.sqrt(w)
         return replace(self, g=self.g * root, r=self.r * root, weight=w)
 
+    def eased(self, factor: Array | None) -> "Match":
+        """Return the same with the data counting ``factor`` times at each pixel."""
+        if factor is None:
+            return self
+        root = np.sqrt(factor)
+        return replace(self, g=self.g * root, r=self.r * root)
+
     def density(self, about: Array, mask: Mask | None = None) -> Pointwise:
         """Return the data term of ``v``, where the displacement is ``about + v``, on a mask."""
         used = self.used if mask is None else self.used & mask

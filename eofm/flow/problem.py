@@ -12,6 +12,7 @@ from eofm.flow.known import Known
 from eofm.flow.matching import ImagePair, Match, Overall
 from eofm.flow.multigrid import multigrid
 from eofm.flow.pyramid import pyramid, sampled, solving
+from eofm.flow.roughness import ease
 from eofm.flow.weight import choose_alpha, enough, first_alpha
 from eofm.grid import (
     FACES,
@@ -162,9 +163,10 @@ class Level:
     finest: bool
     still: bool
 
-    def functional(self, match: Match, alpha: float) -> Quadratic:
-        """F of ``v`` less what is prescribed."""
+    def functional(self, match: Match, alpha: float, factor: Array | None = None) -> Quadratic:
+        """F of ``v`` less what is prescribed; ``factor`` multiplies all terms but R."""
         terms = sum(self.terms, start=match.density(self.base))
+        terms = terms if factor is None else terms.times(factor)
         F = Quadratic(self.pair.grid, terms, alpha, self.free, self.problem.settings.smoothness)
         return F.shifted(self.prescribed)
 
@@ -174,6 +176,7 @@ class Level:
         ``chosen`` are the weights that coarser grids have chosen.
         """
         settings, F = self.problem.settings, cast(Quadratic, None)
+        factor: Array | None = None
         u = self.problem.carried(self.coarse, self.pair.grid.shape)
         about = self.base + self.prescribed if self.prescribed.any() else self.base
         # The first field of a scale may still be far from it, and its residual no noise.
@@ -182,12 +185,14 @@ class Level:
             del F  # what is not needed any more makes room: of volumes it is the half
             match = self._linearised(u, self.still and warp == 0, warp >= near)
             alpha = settings.alpha or (chosen[-1] if chosen else first_alpha(match))
+            if self._adapts:
+                factor = ease(u - self.base, self.pair.grid, (match.g**2).sum(0) * match.used)
             if self.decides and warp == near:
                 best, alpha = choose_alpha(
-                    match, self.base, self.prescribed, self.free, alpha, chosen
+                    match, self.base, self.prescribed, self.free, alpha, chosen, factor
                 )
                 chosen = *chosen, best
-            F = self.functional(match, alpha)
+            F = self.functional(match, alpha, factor)
             del match
             last = warp == settings.warps - 1 and (
                 self.finest or settings.smoothness_of == "update"
@@ -195,7 +200,18 @@ class Level:
             change = FINE if last else ROUGH
             with solving(self.pair.grid, progress) as report:
                 u = about + multigrid(F, change=change, initial=u - about, report=report)
-        return Improved(u, alpha, F, chosen)
+        return Improved(u, alpha, F, chosen, factor)
+
+    @property
+    def _adapts(self) -> bool:
+        """Whether the field is smoothed less where it is rough: images, on their finest scales."""
+        settings, grid = self.problem.settings, self.pair.grid
+        return (
+            self.pair.robust
+            and settings.smoothness == "bending"
+            and grid.ndim == 2
+            and enough(grid.shape)
+        )
 
     def _linearised(self, u: Array, still: bool, near: bool) -> Match:
         """The images linearised about what I2 is warped by."""
@@ -207,12 +223,17 @@ class Level:
 
 
 class Improved(NamedTuple):
-    """What one grid gives: ``u`` in true lengths, its alpha, its F, the weights chosen so far."""
+    """What one grid gives.
+
+    ``u`` in true lengths, its alpha, its F, the weights chosen so far, and by what all terms of F
+    but R were multiplied.
+    """
 
     u: Array
     alpha: float
     functional: Quadratic
     chosen: tuple[float, ...]
+    ease: Array | None
 
 
 def sampled_pairs(

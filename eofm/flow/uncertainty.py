@@ -36,14 +36,17 @@ class Errors:
     functional : Quadratic
         The F that was minimised last.
     match : Match
-        The images linearised about the estimate.
+        The images linearised about the estimate, eased as in F.
     v : ndarray, of the shape of ``match.u``
         The part of the displacement that R acts on.
+    ease : ndarray, of the shape of an image, optional
+        By which alpha is divided at each pixel, see :func:`eofm.flow.roughness.ease`.
     """
 
     functional: Quadratic
     match: Match
     v: Array
+    ease: Array | None = None
 
     @cached_property
     def left(self) -> Array:
@@ -75,7 +78,7 @@ class Errors:
     def roughness(self) -> float:
         """Factor of draws of the prior that makes them as large as the bias, where data tell."""
         F = self.functional
-        drawn = self._solve(F.rough(np.random.default_rng(1)) / F.grid.areas)
+        drawn = self._solve(self._rough(np.random.default_rng(1)))
         biased, rough = (
             float((F.terms.product(f) * f * F.grid.areas).sum()) for f in (self.bias, drawn)
         )
@@ -90,15 +93,20 @@ class Errors:
         is the bias, of random sign, and a rough field as large, for the estimate shows what is
         left of roughness only; it alone is large where no data are.
         """
-        F, match = self.functional, self.match
+        match = self.match
         noise = smooth_noise(match.grid.shape, rng) * self._residual
-        b = match.g * noise + self.roughness * F.rough(rng) / F.grid.areas
+        b = match.g * noise + self.roughness * self._rough(rng)
         b += rng.standard_normal() * self._force
         return self._solve(b)
 
     @cached_property
     def _residual(self) -> Array:
         return self.match.r * self.match.used / np.sqrt(self.left)
+
+    def _rough(self, rng: np.random.Generator) -> Array:
+        """Draw of the prior, whose precision is alpha over ``ease``, as F has it multiplied."""
+        rough = self.functional.rough(rng) / self.functional.grid.areas
+        return rough if self.ease is None else rough * np.sqrt(self.ease)
 
     @cached_property
     def _force(self) -> Array:

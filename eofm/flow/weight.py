@@ -72,6 +72,7 @@ def choose_alpha(
     free: NDArray[np.bool_],
     start: float,
     before: Sequence[float] = (),
+    ease: Array | None = None,
 ) -> tuple[float, float]:
     """Weight of the bending energy with the least misfit on held-out blocks, and that to use.
 
@@ -98,12 +99,17 @@ def choose_alpha(
         decorrelated speckle are, make cross-validation choose too little smoothing (Opsomer,
         Wang and Yang, Stat. Sci. 16, 2001), least so on coarser scales. Where one of them is
         larger, its geometric mean with that of this scale is used, as far as the misfit allows.
+    ease : ndarray, optional
+        By which the weight is divided at each pixel, see :func:`eofm.flow.roughness.ease`.
     """
     windows = _windows(match)
+    if ease is not None:
+        match = match.eased(ease)
+        windows = [(w, counts / ease[w]) for w, counts in windows]
     ridge = RIDGE * match.strength
     trials = [
-        Trial(_cut(match, w), about[:, *w], prescribed[:, *w], free[w], fold, ridge, inner)
-        for w, inner in windows
+        Trial(_cut(match, w), about[:, *w], prescribed[:, *w], free[w], fold, ridge, counts)
+        for w, counts in windows
         for fold in folds(match.grid.shape, len(windows))
     ]
     return least_misfit(trials, start, before)

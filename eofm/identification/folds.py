@@ -95,7 +95,7 @@ class Folds:
         ridge = RIDGE * self.match.strength * np.reshape([1, 0, 1], (3, 1, 1))
         fields = []
         for out in self.masks:
-            terms = self.match.density(u_bg, ~out)
+            terms = self.match.eased(estimate.ease).density(u_bg, ~out)
             F = Quadratic(
                 F.grid, Pointwise(terms.A + ridge, terms.b), F.alpha, F.free, F.smoothness
             )

@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 
 from eofm.flow.estimate import estimate_displacement
+from eofm.flow.functional import Quadratic
 from eofm.flow.known import Known
 from eofm.flow.matching import ImagePair, held_out
+from eofm.flow.multigrid import multigrid
+from eofm.flow.roughness import ease, squared_bending
 from eofm.flow.weight import choose_alpha, drawn
 from eofm.grid import Grid
 from eofm.settings import Estimation, Phantom
@@ -145,3 +148,48 @@ def test_a_black_quarter_does_not_stop_the_choice():
     I1[:200, :200] = I2[:200, :200] = 0
     found = estimate_displacement(I1, I2, Estimation(scales=2, warps=2))
     assert relative(found.u[:, 220:, 220:], u[:, 220:, 220:]) < 0.05
+
+
+def test_smoothing_is_eased_where_motion_is_rough():
+    """The edge of a disc that is strained: less error than with any one weight."""
+    shape = (160, 200)
+    x2, x1 = np.mgrid[: shape[0], : shape[1]] - np.array([70.0, 90.0]).reshape(2, 1, 1)
+    u = 0.04 * np.stack([x1, x2]) * np.minimum(1, 30.0**2 / np.maximum(x1**2 + x2**2, 1))
+    images = speckle(u, count=3000, sigma=(1.5, 1.5), noise=0.02)
+
+    def error(settings):
+        return np.sqrt(((estimate_displacement(*images, settings).u - u) ** 2).mean())
+
+    one = [error(Estimation(alpha=a, robust=False)) for a in 10.0 ** np.arange(-1, 2.5, 0.5)]
+    found = estimate_displacement(*images)
+    assert error(Estimation()) < 0.9 * min(one)
+    edge = np.abs(np.hypot(x1, x2) - 30) < 4
+    assert found.weight[edge].mean() < 0.1 * found.weight[~edge].mean()
+
+
+def test_ease_is_one_where_nothing_is_rough_and_follows_a_kink():
+    grid, seen = Grid(SHAPE), np.ones(SHAPE)
+    assert (ease(np.zeros((2, *SHAPE)), grid, seen) == 1).all()
+    x = np.arange(SHAPE[1]) - 28.0
+    kink = np.broadcast_to(0.01 * np.abs(x), (2, *SHAPE))
+    factor = ease(kink, grid, seen)
+    assert (factor.argmax(1) == 28).all()
+    assert 1 < factor.max() < 3
+    assert np.allclose(ease(5 * kink, grid, seen), factor, rtol=0.01)
+    parabola = np.broadcast_to(0.01 * x**2, (2, *SHAPE))
+    assert np.allclose(squared_bending(parabola, grid)[:, 2:-2], 2 * 0.02**2)
+
+
+def test_a_factor_is_a_weight_that_varies_but_for_its_derivatives():
+    """With a constant one the minimiser is that of the weight divided by it."""
+    u = smooth_field()
+    I1, I2 = speckle(u)
+    free, zero = np.ones(SHAPE, dtype=bool), np.zeros((2, *SHAPE))
+    match = ImagePair(Grid(SHAPE), I1, I2, free, free, True).linearise(u)
+
+    def minimiser(match, alpha):
+        return multigrid(Quadratic(Grid(SHAPE), match.density(zero), alpha, free, "bending"))
+
+    assert np.allclose(
+        minimiser(match.eased(np.full(SHAPE, 4.0)), 2.0), minimiser(match, 0.5), atol=1e-6
+    )
