@@ -17,8 +17,10 @@ from eofm.settings import (
     Forward,
     Identification,
     Pair,
+    PartOfScale,
     Phantom,
     Sample,
+    Tiling,
     Tracking,
     VirtualOct,
 )
@@ -53,6 +55,9 @@ CHEAPEST = {
     + ["{0}/o_u.tif", "--iterations", "1", "--rounds", "1"],
     Pair: ["sample", "--reference", "{0}/a.tif", "--deformed", "{0}/b.tif", "--folder", "{0}/o"]
     + ["--figures", "none", "--error-bars", "0"],
+    Tiling: ["coarse", "--reference", "{0}/a.tif", "--deformed", "{0}/b.tif", "--work", "{0}/o"]
+    + ["--tiles", "1", "1", "1"],
+    PartOfScale: ["tile", "{0}"],
 }
 
 

@@ -119,7 +119,7 @@ def test_a_reader_that_crashes_or_never_ends_is_ended(tmp_path, monkeypatch):
     child.write_text("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
     refused(path, "ends its reader by signal 11")
     child.write_text("while True: pass")
-    monkeypatch.setattr("eofm.io.formats.PATIENCE", 0.2)
+    monkeypatch.setattr("eofm.io.matlab.PATIENCE", 0.2)
     refused(path, "takes longer")
 
 
