@@ -43,6 +43,8 @@ AGREED = 0.75, 0.35
 CONTRADICTED, PARTLY, CORRELATED, DRIFTED, FOLDED, USED = 0.05, 0.5, 0.7, 0.25, 0.005, 0.1
 # Parts of the image across which a drift counts, and windows that tell it.
 PARTS, FEW = 3, 3
+# Rows from an edge whose line tells where the images would have it, and how far off it may be, px.
+ROWS, JUMP = (8, 24), 0.5
 # Slices, or rows, whose gradients are taken at once.
 SLAB = 16
 # Differences of images and displacements that are none.
@@ -276,7 +278,7 @@ def judge(I1: Array, warped: Array, used: Mask, u: Array, edges: Collection[Edge
     }
     failed = _failures(**shares)
     doubts = [] if failed else _doubts(**shares)
-    doubts += _contradicted(windows, edges)
+    doubts += _contradicted(windows, u, edges)
     if np.allclose(I1, warped, atol=SAME) and np.allclose(u, 0, atol=SAME):
         doubts.append(SAME_IMAGES)
     verdict: Verdict = "failed" if failed else "doubtful" if doubts else "good"
@@ -358,16 +360,33 @@ def _doubts(
     return doubts
 
 
-def _contradicted(windows: Windows, edges: Collection[Edge]) -> list[str]:
-    """Edges whose stated motion the windows beside them contradict."""
+def _contradicted(windows: Windows, u: Array, edges: Collection[Edge]) -> list[str]:
+    """Edges whose stated motion the windows beside them contradict, or the field leaves at once."""
     doubts = []
     for edge in edges:
         beside = FACES[edge].pixels(windows.here.ndim)
         told = np.isfinite(windows.here[beside])
         off = ~windows.agrees[beside] | (length(windows.offset[:, *beside]) > 2 * DRIFTED)
-        if told.any() and off[told].mean() > 0.5:
+        if (told.any() and off[told].mean() > 0.5) or _jumps(u, edge):
             doubts.append(f"{edge}: {STATED}")
     return doubts
+
+
+def _jumps(u: Array, edge: Edge) -> bool:
+    """Whether the field of an edge is far off the line through the rows inside of it.
+
+    Where images contradict an edge, the field obeys it and goes over to theirs within some pixels,
+    fewer than windows see.
+    """
+    face, (near, far) = FACES[edge], ROWS
+    rows = np.moveaxis(u, 1 + face.axis(u.ndim - 1), 1)
+    rows = rows[:, ::-1] if face.last else rows
+    if rows.shape[1] <= far:
+        return False
+    change = rows[:, near] - rows[:, far]
+    jump = rows[:, 0] - rows[:, near] - change * near / (far - near)
+    change, jump = (np.median(f.reshape(len(u), -1), axis=1) for f in (change, jump))
+    return bool(length(jump) > np.maximum(JUMP, length(change)))
 
 
 def _peaks(plane: Array) -> Array:

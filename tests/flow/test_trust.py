@@ -94,6 +94,17 @@ def test_an_edge_whose_motion_the_images_contradict_is_named(moved):
     assert not [reason for reason in told if reason.startswith("top: ")]
 
 
+def test_an_edge_that_the_field_leaves_at_once_is_named(moved):
+    I1, I2, u = moved
+    bottom = u[:, -1] + np.array([[0.0], [2.5]])
+    edges = {"top": u[:, 0], "bottom": bottom}
+    told = eofm.estimate_displacement(I1, I2, known=eofm.Known(edges=edges)).trust
+    assert told.verdict == "doubtful"
+    assert [reason.partition(":")[0] for reason in told.reasons] == ["bottom"]
+    edges["bottom"] = u[:, -1]
+    assert eofm.estimate_displacement(I1, I2, known=eofm.Known(edges=edges)).trust.reasons == ()
+
+
 def test_the_peaks_stand_at_the_true_offset(moved):
     _, I2, _ = moved
     shift = np.stack([np.full(SHAPE, 0.4), np.full(SHAPE, -0.7)])

@@ -20,7 +20,7 @@ from deploy import prefix
 from imports import Sources
 from parts import asked_memory, minutes, parts, size, step_memory
 from runs import only_run
-from tiled import levels, numbers, tile_memory, tile_minutes, tiled
+from tiled import before_tiles, numbers, tile_files, tile_memory, tile_minutes, tiled
 
 # A step that ends with 3 has written a result that it says not to trust: the log says why, and
 # what follows shows it.

@@ -13,22 +13,6 @@ wildcard_constraints:
     number=r"\d+",
 
 
-def tiles_of(sample, level):
-    """What the tiles of a scale write."""
-    return [
-        f"{TILES}/{sample}/tile_{level}_{number}.{kind}"
-        for number in numbers(TILED[sample], int(level))
-        for kind in ("npy", "json")
-    ]
-
-
-def prepared(wildcards):
-    """What the tiles of a scale wait for."""
-    top = levels(TILED[wildcards.sample]) - 1
-    last = [] if int(wildcards.level) == top else [f"choice_{wildcards.level}.json"]
-    return [f"{TILES}/{wildcards.sample}/{name}" for name in ["plan.json", *last]]
-
-
 rule coarse:
     input:
         files=lambda wildcards: sample_files(TILED[wildcards.sample]),
@@ -62,7 +46,7 @@ rule coarse:
 
 rule tile:
     input:
-        made=prepared,
+        made=lambda wildcards: before_tiles(TILES, TILED, wildcards.sample, wildcards.level),
         code=code("tile"),
         module=SCRIPTS / "sample_rows.py",
     output:
@@ -95,7 +79,7 @@ rule gather:
     input:
         made=lambda wildcards: [
             f"{TILES}/{wildcards.sample}/plan.json",
-            *tiles_of(wildcards.sample, int(wildcards.level) + 1),
+            *tile_files(TILES, TILED, wildcards.sample, int(wildcards.level) + 1),
         ],
         code=code("gather"),
         module=SCRIPTS / "sample_rows.py",
@@ -129,7 +113,7 @@ rule gathered:
     input:
         made=lambda wildcards: [
             f"{TILES}/{wildcards.sample}/plan.json",
-            *tiles_of(wildcards.sample, 0),
+            *tile_files(TILES, TILED, wildcards.sample, 0),
         ],
         code=code("gather"),
         module=SCRIPTS / "sample_rows.py",

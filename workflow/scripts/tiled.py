@@ -70,3 +70,19 @@ def tile_memory(row: Row) -> int:
 def tile_minutes(row: Row, tiles: int = 1) -> int:
     """Run time of a job that reads so many tiles, minutes, with room for a slow machine."""
     return 5 + math.ceil(voxels(row) * (1 + tiles / 10) / SPEED / 60)
+
+
+def tile_files(folder: str, rows: dict[str, Row], sample: str, level: str | int) -> list[str]:
+    """What the tiles of a scale write."""
+    return [
+        f"{folder}/{sample}/tile_{level}_{number}.{kind}"
+        for number in numbers(rows[sample], int(level))
+        for kind in ("npy", "json")
+    ]
+
+
+def before_tiles(folder: str, rows: dict[str, Row], sample: str, level: str | int) -> list[str]:
+    """What the tiles of a scale wait for."""
+    top = levels(rows[sample]) - 1
+    last = [] if int(level) == top else [f"choice_{level}.json"]
+    return [f"{folder}/{sample}/{name}" for name in ["plan.json", *last]]
