@@ -46,7 +46,9 @@ rule coarse:
 
 rule tile:
     input:
-        made=lambda wildcards: before_tiles(TILES, TILED, wildcards.sample, wildcards.level),
+        made=lambda wildcards: before_tiles(
+            TILES, TILED, wildcards.sample, wildcards.level
+        ),
         code=code("tile"),
         module=SCRIPTS / "sample_rows.py",
     output:
