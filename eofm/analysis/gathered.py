@@ -16,7 +16,7 @@ from eofm.analysis.sections import Sections, middle
 from eofm.analysis.strain import strain
 from eofm.analysis.tensors import labels
 from eofm.analysis.tiles import Work, read_choice, write_field
-from eofm.flow.tiles import common, shape_of
+from eofm.flow.tiles import Tile, common, shape_of
 from eofm.flow.trust import Trust, pooled
 from eofm.grid import Array, componentwise, geometric_mean, precision, unit_spacing
 from eofm.imaging.greys import grown
@@ -94,14 +94,7 @@ class Gathered:
         for number, tile in enumerate(self.plan.tiles(0)):
             both = common(window, tile.core)
             if both is not None:
-                at = tuple(
-                    slice(b.start - r.start, b.stop - r.start)
-                    for b, r in zip(both, tile.region, strict=True)
-                )
-                here = tuple(
-                    slice(b.start - w.start, b.stop - w.start)
-                    for b, w in zip(both, window, strict=True)
-                )
+                at, here = Tile(both, tile.region).inner, Tile(both, window).inner
                 map_of_tile = (slice(self.n, self.n + 1), *at)
                 found[here] = self.work.of_tile(0, number, map_of_tile)[0]
         return found

@@ -30,6 +30,7 @@ from eofm.flow.weight import (
     least_misfit,
 )
 from eofm.grid import Array, Edge, Grid, Mask, faces
+from eofm.imaging.greys import grown
 from eofm.imaging.intensity import normalise_locally
 from eofm.imaging.splines import needed, resize_part
 
@@ -210,12 +211,8 @@ class Scale:
         if not self.problem.settings.robust or self.fine:
             return self.read(k, window)
         reach = int(FAR * COARSE)
-        around = tuple(
-            slice(max(w.start - reach, 0), min(w.stop + reach, n))
-            for w, n in zip(window, self.grid.shape, strict=True)
-        )
+        around, inner = grown(window, reach, self.grid.shape)
         I, live = self.read(k, around)
-        inner = Tile(window, around).inner
         J = normalise_locally(I, (COARSE,) * I.ndim, self.spreads[k])
         return np.ascontiguousarray(J[inner]), np.ascontiguousarray(live[inner])
 
@@ -251,16 +248,7 @@ def probes(shape: tuple[int, ...], overlap: int) -> list[Tile]:
 
     sides = [cuts(n) for n in shape]
     cores = [tuple(side[k % len(side)] for side in sides) for k in range(max(map(len, sides)))]
-    return [
-        Tile(
-            core,
-            tuple(
-                slice(max(c.start - overlap, 0), min(c.stop + overlap, n))
-                for c, n in zip(core, shape, strict=True)
-            ),
-        )
-        for core in cores
-    ]
+    return [Tile(core, grown(core, overlap, shape)[0]) for core in cores]
 
 
 class Choice(NamedTuple):
