@@ -23,14 +23,24 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import DTypeLike
-from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from eofm.errors import InputError
 from eofm.flow import galerkin, galerkin3, stencils, stencils3
+from eofm.flow.coarsest import Coarsest
 from eofm.flow.functional import Quadratic, pairs
-from eofm.flow.operator import SC, TC, Between, M, Operator, Real, Transfer, axis_tables
+from eofm.flow.operator import (
+    SC,
+    TC,
+    Between,
+    M,
+    Operator,
+    Real,
+    Transfer,
+    axis_tables,
+    inner,
+)
+from eofm.flow.sweeps import smooth
 from eofm.grid import Array, Mask
-from eofm.threads import serial
 
 # The compiled loops for images and volumes.
 LOOPS = {2: stencils, 3: stencils3}
@@ -113,11 +123,11 @@ def multigrid(
     lender = top if fits and isinstance(top, Level) else None
     q = lender.y if lender else np.empty_like(r)
     if size == 0:
-        return _inner(x)
+        return inner(x)
     if initial is not None:
-        np.multiply(initial, F.free, out=_inner(x), casting="same_kind")
+        np.multiply(initial, F.free, out=inner(x), casting="same_kind")
         loops.product(q, x, operator)
-        rest = _inner(q) if lender else q
+        rest = inner(q) if lender else q
         np.subtract(r, rest, out=rest)
         if loops.norm(q) < size:
             r[...] = rest
@@ -130,7 +140,7 @@ def multigrid(
         if report is not None:
             report(iteration, residual)
         if residual <= tol or changed <= change:
-            return _inner(x)
+            return inner(x)
         if iteration == max_iterations:
             break
         z = top.correct(b)
@@ -154,11 +164,6 @@ def _load(F: Quadratic, precision: DTypeLike) -> Real:
         r = np.multiply(r, w, out=r if component else None)
     r *= F.free
     return r
-
-
-def _inner(u: Real) -> Real:
-    """The values of a field without its border of zeros."""
-    return u[:, *[slice(2, -2)] * (u.ndim - 1)]
 
 
 @dataclass
@@ -193,7 +198,7 @@ class Level:
         precision = self.operator.A.dtype
         self.loops = LOOPS[len(shape)]
         self.x, self.y = np.zeros((2, len(shape), *(n + 4 for n in shape)), precision)
-        self.b = np.empty_like(_inner(self.coarse.x), precision, order="C")
+        self.b = np.empty_like(inner(self.coarse.x), precision, order="C")
 
     def correct(self, b: Real, visits: int = 1) -> Real:
         """Field close to K^-1 b: linear, symmetric and positive definite in b."""
@@ -206,57 +211,8 @@ class Level:
         return self.x
 
     def _smooth(self, b: Real, from_zero: bool) -> None:
-        steps, smooth = range(1, self.degree + 1), self.loops.smooth
-        self.x, self.y = smooth(self.x, self.y, b, steps, from_zero, self.operator)
-
-
-class Coarsest:
-    """The coarsest grid and the Cholesky factor of K on it, a band matrix.
-
-    Unknowns are ordered by the longest side of the grid, then the shorter ones, then the
-    component. The columns of K come from its products with combs, fields that are 1 on nodes
-    so far apart that the stencils around them are disjoint.
-    """
-
-    def __init__(self, operator: Operator, precision: DTypeLike = np.float64) -> None:
-        free, product = operator.free, LOOPS[operator.free.ndim].product
-        operator = operator.rounded(np.float64)
-        shape = free.shape
-        sides = sorted(range(free.ndim), key=lambda axis: -shape[axis])
-        self.axes = (*(axis + 1 for axis in sides), 0)
-        number = np.empty((free.ndim, *shape), dtype=np.intp)
-        ordered = number.transpose(self.axes)
-        ordered[...] = np.arange(number.size).reshape(ordered.shape)
-        self.x = np.zeros((free.ndim, *(n + 4 for n in shape)), precision)
-        comb, q = np.empty(self.x.shape), np.empty(number.shape)
-        reach = 2 if operator.bending else 1
-        step = 2 * reach + 1
-        farthest = reach * sum(int(np.prod(ordered.shape[k:])) for k in range(1, ordered.ndim))
-        band = np.zeros((farthest + free.ndim, number.size))
-        nodes = np.ogrid[*(slice(n) for n in shape)]
-        for c, *first in np.ndindex(free.ndim, *[step] * free.ndim):
-            teeth = tuple(slice(k, None, step) for k in first)
-            comb.fill(0.0)
-            _inner(comb)[c][teeth] = free[teeth]
-            product(q, comb, operator)
-            tooth = [i + (k - i + reach) % step - reach for i, k in zip(nodes, first, strict=True)]
-            column = number[c][*(t.clip(0, n - 1) for t, n in zip(tooth, shape, strict=True))]
-            lower = number >= column
-            for t, n in zip(tooth, shape, strict=True):
-                lower &= (t >= 0) & (t < n)
-            column = np.broadcast_to(column, number.shape)[lower]
-            band[number[lower] - column, column] = q[lower]
-        band[0, number[:, ~free]] = 1.0
-        # The larger bands of volumes BLAS would share among threads, with other sums.
-        factorise = cholesky_banded if free.ndim == 2 else serial(cholesky_banded)
-        self.factor = factorise(band, lower=True, check_finite=False)
-
-    def correct(self, b: Real, visits: int = 1) -> Real:
-        """Field K^-1 b."""
-        order = b.transpose(self.axes)
-        solution = cho_solve_banded((self.factor, True), order.ravel(), check_finite=False)
-        _inner(self.x).transpose(self.axes)[...] = solution.reshape(order.shape)
-        return self.x
+        steps, sweep = range(1, self.degree + 1), self.loops.sweep
+        self.x, self.y = smooth(sweep, self.x, self.y, b, steps, from_zero, self.operator)
 
 
 def hierarchy(F: Quadratic) -> Level | Coarsest:
@@ -299,7 +255,7 @@ def hierarchy(F: Quadratic) -> Level | Coarsest:
         rounded = tuple(between.rounded(precision) for between in transfer)
         levels.append((operator.rounded(precision), rounded))
         operator = Operator(A, G, np.ones(shape, dtype=np.bool_), axes, operator.bending)
-    top: Level | Coarsest = Coarsest(operator, precision)
+    top: Level | Coarsest = Coarsest(operator, LOOPS[free.ndim].product, precision)
     for operator, transfer in reversed(levels):
         top = Level(operator, degree, visits, transfer, top)
     return top

@@ -127,6 +127,6 @@ class Between(NamedTuple):
 Transfer = tuple[Between, ...]
 
 
-def chebyshev_weights(step: int) -> tuple[float, float]:
-    """Those of step 1, 2 and so on, c1 and c2, see :func:`eofm.flow.stencils.chebyshev`."""
-    return max(0.0, (2 * step - 3) / (2 * step + 1)), (8 * step - 4) / (2 * step + 1)
+def inner(field: Real) -> Real:
+    """The values of a field without its border of zeros."""
+    return field[:, *[slice(2, -2)] * (field.ndim - 1)]

@@ -31,7 +31,6 @@ from eofm.flow.operator import (
     Operator,
     Real,
     Transfer,
-    chebyshev_weights,
 )
 from eofm.grid import Array, Mask
 
@@ -160,30 +159,18 @@ def _chebyshev_row(y, x, b, i, c1, c2, from_zero, K):
 
 
 @compiled
-def _chebyshev(first, last, y, x, b, c1, c2, from_zero, K):
-    for i in range(first, last):
-        _chebyshev_row(y, x, b, i, c1, c2, from_zero, K)
-
-
-def chebyshev(y: Real, x: Real, b: Real, step: int, from_zero: bool, K: Operator) -> None:
-    """Overwrite the field y, the iterate before x, by the iterate after it.
-
-    This is ``x + c1 (x - y) + c2 D^-1 (b - K x)``, where D is A plus the sum over each row
-    of ``|alpha R|``. Thus K <= D (Gershgorin for R, Jensen for the pointwise term): no
-    eigenvalue of D^-1 K exceeds 1. Steps count from 1; one from zero makes x zero.
-    """
-    c1, c2 = map(b.dtype.type, chebyshev_weights(step))
-    share(_chebyshev, K.shape[0], K.free.size, y, x, b, c1, c2, from_zero, K)
-
-
-def smooth(
-    x: Real, y: Real, b: Real, steps: range, from_zero: bool, K: Operator
-) -> tuple[Real, Real]:
-    """Do steps of :func:`chebyshev` from x, and return the last iterate and the one before."""
-    for step in steps:
-        chebyshev(y, x, b, step, from_zero and step == 1, K)
-        x, y = y, x
-    return x, y
+def sweep(first, last, slabs, reach, x, y, b, c, from_zero, K):
+    """Steps with the weights c on some slabs, see :func:`eofm.flow.sweeps.smooth`."""
+    steps = c.shape[0]
+    for slab in range(first, last):
+        low, high = slabs[slab, :, 0], slabs[slab, :, 1]
+        for front in range(low.min(), high.max() + reach * (steps - 1)):
+            for step in range(steps):
+                i = front - reach * step
+                if low[step] <= i < high[step]:
+                    old, new = (x, y) if step % 2 == 0 else (y, x)
+                    zero = from_zero and step == 0
+                    _chebyshev_row(new, old, b, i, c[step, 0], c[step, 1], zero, K)
 
 
 @compiled

@@ -13,7 +13,6 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from eofm.compiled import compiled, share
 from eofm.flow.operator import (
@@ -31,7 +30,6 @@ from eofm.flow.operator import (
     Operator,
     Real,
     Transfer,
-    chebyshev_weights,
 )
 from eofm.grid import Array, Mask
 
@@ -41,8 +39,8 @@ from eofm.grid import Array, Mask
 WIDE = 256
 LINE = WIDE + 16
 ACROSS, V, VOLUME, BOUND, LINES = 3, 6, 9, 10, 11
-# Steps of the smoother that go together, slices of a slab of large volumes, rows of its strips.
-TOGETHER, SLAB, ROWS = 4, 64, 32
+# Rows of a strip in which steps of the smoother go through a volume.
+ROWS = 32
 # Slices of a coarse grid that are made together.
 STRIP = 8
 FAST = {"contract"}
@@ -360,7 +358,8 @@ def _chebyshev_block(w, y, x, b, k, i, j, e, c1, c2, from_zero, K):
 
 
 @compiled
-def _sweep(first, last, slabs, reach, x, y, b, c, from_zero, K):
+def sweep(first, last, slabs, reach, x, y, b, c, from_zero, K):
+    """Steps with the weights c on some slabs, see :func:`eofm.flow.sweeps.smooth`."""
     n, m = K.free.shape[1:]
     steps = c.shape[0]
     w = np.empty(LINES * LINE, x.dtype)
@@ -381,44 +380,6 @@ def _sweep(first, last, slabs, reach, x, y, b, c, from_zero, K):
                             _chebyshev_block(
                                 w, new, old, b, k, i, j, e, c[step, 0], c[step, 1], zero, K
                             )
-
-
-def _slabs(slices: int, steps: int, reach: int) -> list[NDArray[np.intp]]:
-    """Slices that each step does in a slab: of slabs for threads, and then of what is between.
-
-    Each step of a slab ends ``reach`` slices before the last one, as it needs that many
-    neighbours; between two slabs it does as many more. Arrays of shape (slabs, steps, 2).
-    """
-    least = 2 * reach * steps
-    count = max(1, min(2, slices // least), slices // max(SLAB, least))
-    cuts = np.array([slices * s // count for s in range(count + 1)])
-    back = reach * np.arange(steps)
-    low = cuts[:-1, None] + np.where(np.arange(count)[:, None] > 0, back, 0)
-    high = cuts[1:, None] - np.where(np.arange(count)[:, None] < count - 1, back, 0)
-    inner = cuts[1:-1, None]
-    return [np.stack([low, high], axis=2), np.stack([inner - back, inner + back], axis=2)]
-
-
-def smooth(
-    x: Real, y: Real, b: Real, steps: range, from_zero: bool, K: Operator
-) -> tuple[Real, Real]:
-    """Do steps of :func:`eofm.flow.stencils.chebyshev`, see :func:`eofm.flow.stencils.smooth`.
-
-    Memory is what takes time. So several steps go through the volume together, each some slices
-    and rows behind the one before: what they share stays in the cache. As x and y are
-    overwritten in turn, a node may be a step ahead of its neighbours, but never two.
-    """
-    reach = 2 if K.bending else 1
-    for first in range(0, len(steps), TOGETHER):
-        some = steps[first : first + TOGETHER]
-        c = np.array([chebyshev_weights(step) for step in some], x.dtype)
-        zero = from_zero and first == 0
-        for slabs in _slabs(K.shape[0], len(some), reach):
-            if len(slabs):
-                share(_sweep, len(slabs), 3 * K.free.size, slabs, reach, x, y, b, c, zero, K)
-        if len(some) % 2:
-            x, y = y, x
-    return x, y
 
 
 @njit(fastmath=FAST)

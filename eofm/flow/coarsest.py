@@ -1,0 +1,112 @@
+"""The coarsest grid of :mod:`eofm.flow.multigrid`, on which K is a matrix and is factorised."""
+
+import math
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+from scipy.linalg import cho_solve_banded, cholesky_banded
+
+from eofm.flow.operator import Operator, Real, inner
+from eofm.threads import serial
+
+Indices = NDArray[np.intp]
+
+
+class Coarsest:
+    """The Cholesky factor of K, a band matrix.
+
+    Its columns come from the products of K with combs, see `Comb`.
+    """
+
+    def __init__(
+        self, operator: Operator, product: Callable[..., Any], precision: DTypeLike = np.float64
+    ) -> None:
+        free = operator.free
+        operator = operator.rounded(np.float64)
+        self.axes, number = numbers(free.shape)
+        self.x = np.zeros((free.ndim, *(n + 4 for n in free.shape)), precision)
+        field, q = np.zeros(self.x.shape), np.empty(number.shape)
+        nodes, band = inner(field), np.zeros(_band(free.shape, operator.bending))
+        for comb in combs(free.shape, operator.bending):
+            nodes[comb.teeth] = free[comb.teeth[1:]]
+            product(q, field, operator)
+            nodes[comb.teeth] = 0
+            band.ravel()[comb.places] = q.ravel()[comb.entries]
+        band[0, number[:, ~free]] = 1.0
+        # The larger bands of volumes BLAS would share among threads, with other sums.
+        factorise = cholesky_banded if free.ndim == 2 else serial(cholesky_banded)
+        self.factor = factorise(band, lower=True, check_finite=False)
+
+    def correct(self, b: Real, visits: int = 1) -> Real:
+        """Field K^-1 b."""
+        order = b.transpose(self.axes)
+        solution = cho_solve_banded((self.factor, True), order.ravel(), check_finite=False)
+        inner(self.x).transpose(self.axes)[...] = solution.reshape(order.shape)
+        return self.x
+
+
+class Comb(NamedTuple):
+    """A field that is 1 on nodes so far apart that the stencils around them are disjoint.
+
+    Attributes
+    ----------
+    teeth : tuple of int and slices
+        Where it is 1.
+    entries, places : ndarray
+        Entries of its product with K, and where in the band of K they stand.
+    """
+
+    teeth: tuple[Any, ...]
+    entries: Indices
+    places: Indices
+
+
+@lru_cache(16)
+def combs(shape: tuple[int, ...], bending: bool) -> list[Comb]:
+    """Those that tell all of K, which the matrices of one shape have in common."""
+    _, number = numbers(shape)
+    reach = _reach(bending)
+    step = 2 * reach + 1
+    nodes = np.ogrid[*(slice(n) for n in shape)]
+    found = []
+    for c, *first in np.ndindex(len(shape), *[step] * len(shape)):
+        tooth = [i + (k - i + reach) % step - reach for i, k in zip(nodes, first, strict=True)]
+        column = number[c][*(t.clip(0, n - 1) for t, n in zip(tooth, shape, strict=True))]
+        lower = number >= column
+        for t, n in zip(tooth, shape, strict=True):
+            lower &= (t >= 0) & (t < n)
+        column = np.broadcast_to(column, number.shape)[lower]
+        places = (number[lower] - column) * number.size + column
+        teeth = (c, *(slice(k, None, step) for k in first))
+        found.append(Comb(teeth, np.flatnonzero(lower), places))
+    return found
+
+
+@lru_cache(16)
+def numbers(shape: tuple[int, ...]) -> tuple[tuple[int, ...], Indices]:
+    """Order of the axes of functionals, and the number of each entry in it.
+
+    Unknowns are ordered by the longest side of the grid, then the shorter ones, then the
+    component: the band is narrow.
+    """
+    sides = sorted(range(len(shape)), key=lambda axis: -shape[axis])
+    axes = (*(axis + 1 for axis in sides), 0)
+    number = np.empty((len(shape), *shape), dtype=np.intp)
+    ordered = number.transpose(axes)
+    ordered[...] = np.arange(number.size).reshape(ordered.shape)
+    return axes, number
+
+
+def _band(shape: tuple[int, ...], bending: bool) -> tuple[int, int]:
+    """Shape of K's diagonals from the main one down."""
+    across = (*sorted(shape, reverse=True)[1:], len(shape))
+    farthest = sum(math.prod(across[k:]) for k in range(len(across)))
+    return _reach(bending) * farthest + len(shape), math.prod(shape) * len(shape)
+
+
+def _reach(bending: bool) -> int:
+    """Nodes on either side that the smoothness term couples."""
+    return 2 if bending else 1
