@@ -12,7 +12,8 @@ from test_io import KINDS, written
 
 import eofm
 from eofm import io
-from eofm.app.cli import STEPS, main
+from eofm.app.cli import main
+from eofm.app.steps import STEPS
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from eofm.app.cli import ANALYSIS
+from eofm.app.steps import ANALYSIS
 from eofm.errors import InputError
 from eofm.grid import FACES
 from eofm.settings import Section, Tiling
