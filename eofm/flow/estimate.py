@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import islice
 
 import numpy as np
 from tqdm import tqdm
@@ -16,12 +17,15 @@ from eofm.flow.start import correlation, match_blocks
 from eofm.flow.trust import Trust, judge
 from eofm.flow.uncertainty import Errors
 from eofm.grid import Array, Edge, Grid, componentwise, unit_spacing
+from eofm.imaging.gaussian import blur
 from eofm.imaging.intensity import normalise_locally
 from eofm.imaging.splines import resize, resize_field
 from eofm.settings import Estimation
 
 # Side of the image, or volume, on which starts are compared, samples.
 SIDE = {2: 160, 3: 48}
+# Width of the average of variances of draws, px.
+VARIANCE = 4.0
 
 
 @dataclass(frozen=True)
@@ -115,7 +119,8 @@ class Estimate:
         squares = np.zeros_like(self.u)
         for sample in self.samples(samples, seed):
             squares += sample**2
-        return np.sqrt(squares / samples)
+        # Few draws tell little of one place.
+        return np.sqrt(np.stack([blur(variance, VARIANCE) for variance in squares / samples]))
 
     def samples(self, count: int, seed: int = 0) -> Iterator[Array]:
         """Errors of the displacement as they may be, of its shape, px.
@@ -123,9 +128,8 @@ class Estimate:
         See :class:`eofm.flow.uncertainty.Errors`. A speckle term on the finest scale
         (``speckle_scales="all"``) counts as exact.
         """
-        rng, sides = np.random.default_rng(seed), self._sides
-        for _ in range(count):
-            yield resize_field(self.errors.draw(rng), self.u.shape[1:]) / sides
+        for error in islice(self.errors.draws(np.random.default_rng(seed)), count):
+            yield resize_field(error, self.u.shape[1:]) / self._sides
 
     @cached_property
     def errors(self) -> Errors:

@@ -4,26 +4,33 @@ The estimate v minimises F, so its error is ``K^-1 (sum g n - alpha R u)`` for t
 data: what they add, and what smoothness takes away. Neither is known; both are drawn.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from eofm.flow.functional import Pointwise, Quadratic
-from eofm.flow.matching import BLOCK, Match
+from eofm.flow.matching import Match
 from eofm.flow.multigrid import multigrid
 from eofm.grid import Array, precision
 from eofm.imaging.intensity import Window
 from eofm.imaging.sampling import weights
 from eofm.imaging.sums import Terms, resample
 
-# Width of the Gaussian whose average of white noise is correlated as far as `smooth_noise`, and of
-# that over which the share of the data that is fitted is taken to be constant, samples.
-WIDTH, CONSTANT = 0.58 * BLOCK, 16.0
-# Least part of the data at a place that a field leaves to tell its error.
-LEAST = 0.1
-# Relative residual of a solve: a draw is uncertain by more.
-TOLERANCE = 1e-2
+# Distance of the random coefficients of multipliers, samples: residuals times gradients are
+# correlated less far, be they noise, decorrelated speckle or bubbles that do not follow.
+APART = 4.0
+# Widths over which brightness that was not fitted is smooth, and over which residuals are compared
+# with what may have been fitted of them, samples.
+BRIGHTNESS, CONSTANT = 8.0, 16.0
+# Errors from white noise as they are drawn, as a part of what they are: residuals that are
+# completed by an independent error lack what both would share.
+SHOWN = 0.8
+# Draws before those that count, until residuals are complete.
+SETTLE = 3
+# Relative residual of a solve, which leaves less than a hundredth of a draw.
+TOLERANCE = 5e-2
 TINY = float(np.finfo(np.float32).tiny)
 
 
@@ -48,60 +55,71 @@ class Errors:
     v: Array
     ease: Array | None = None
 
-    @cached_property
-    def left(self) -> Array:
-        """Part of white noise in the data around each pixel that the field does not follow.
+    def draws(self, rng: np.random.Generator) -> Iterator[Array]:
+        """Errors as they may be, in true lengths, of the shape of ``match.u``: as many as asked.
 
-        One less the leverage: residuals are smaller than the noise by its root (MacKinnon and
-        White, J. Econometrics 29, 1985), little where many data carry the field, and much at
-        the edges and for few bubbles. One solve, for noise that is drawn, tells it.
+        The noise of the data is the residual, times a smooth random field (dependent wild
+        bootstrap, Shao, J. Am. Stat. Assoc. 105, 2010): residuals are correlated and grow with
+        the gradient, so white noise would promise too much. The field has followed a part of the
+        noise, so the residual is taken where the truth may be, off by the error drawn before
+        (data augmentation, Tanner and Wong, J. Am. Stat. Assoc. 82, 1987). What smoothness takes
+        away is the bias, of random sign, and a rough field, for the estimate shows what is left
+        of roughness only; it alone is large where no data are.
         """
-        match = self.match
-        noise = np.random.default_rng(0).standard_normal(match.r.shape) * match.used
-        noise = noise.astype(match.r.dtype, copy=False)
-        v = self._solve(match.g * noise)
-        seen, wide = (Window(match.used, width) for width in (WIDTH, CONSTANT))
-        before, after = np.zeros_like(noise), np.zeros_like(noise)
-        fitted = noise - np.einsum("c...,c...->...", match.g, v)
-        for g in match.g:
-            all_of_it = seen.mean(g, noise)
-            before += all_of_it**2
-            after += all_of_it * seen.mean(g, fitted)
-        return np.clip(wide.mean(after) / (wide.mean(before) + TINY), LEAST, 1)
+        error, roughness = self._first, self._roughness
+        while True:
+            b = self._noise(error, rng)
+            b += roughness * self._rough(rng)
+            b += np.sqrt(0.5) * rng.standard_normal() * self._force
+            error = self._solve(b)
+            yield error
 
     @cached_property
-    def bias(self) -> Array:
-        """What smoothness takes away, as it takes it from the estimate itself."""
-        return self._solve(self._force)
+    def _first(self) -> Array:
+        """An error from the noise alone."""
+        rng, error = np.random.default_rng(0), np.zeros_like(self.match.g)
+        for _ in range(SETTLE):
+            error = self._solve(self._noise(error, rng))
+        return error
 
     @cached_property
-    def roughness(self) -> float:
-        """Factor of draws of the prior that makes them as large as the bias, where data tell."""
+    def _roughness(self) -> float:
+        """Factor of draws of the prior, which have the other half of the energy of the bias.
+
+        The bias as the estimate shows it is that of the noise in it as well, which is taken off.
+        """
         F = self.functional
-        drawn = self._solve(self._rough(np.random.default_rng(1)))
-        biased, rough = (
-            float((F.terms.product(f) * f * F.grid.areas).sum()) for f in (self.bias, drawn)
-        )
-        return float(np.sqrt(biased / (rough + TINY)))
 
-    def draw(self, rng: np.random.Generator) -> Array:
-        """An error as it may be, in true lengths, of the shape of ``match.u``.
+        def energy(b: Array) -> float:
+            f = self._solve(b)
+            return float((F.terms.product(f) * f * F.grid.areas).sum())
 
-        The noise of the data is that of the residuals, times a smooth random field (dependent wild
-        bootstrap, Shao, J. Am. Stat. Assoc. 105, 2010): residuals of bubbles are correlated and
-        grow with the gradient, so white noise would promise too much. What smoothness takes away
-        is the bias, of random sign, and a rough field as large, for the estimate shows what is
-        left of roughness only; it alone is large where no data are.
+        biased, noisy = energy(self._force), energy(F.smoothed(self._first))
+        rough = energy(self._rough(np.random.default_rng(1)))
+        return float(np.sqrt(0.5 * max(biased - noisy, 0.0) / (rough + TINY)))
+
+    def _noise(self, error: Array, rng: np.random.Generator) -> Array:
+        """Force of the noise, if the estimate is off by an error.
+
+        Brightness that was not fitted is smooth, and hardly moves anything, as a whole; a random
+        field would make edges of it.
         """
-        match = self.match
-        noise = smooth_noise(match.grid.shape, rng) * self._residual
-        b = match.g * noise + self.roughness * self._rough(rng)
-        b += rng.standard_normal() * self._force
-        return self._solve(b)
+        match, smooth = self.match, self._brightness
+        fitted = np.einsum("c...,c...->...", match.g, error)
+        # Where data determine a field and no more, an error would grow from draw to draw.
+        around = Window(match.used, CONSTANT)
+        most = around.mean(match.r, match.r) / (around.mean(fitted, fitted) + TINY)
+        fitted *= np.sqrt(np.clip(most, 0, 1))
+        noise = smooth_noise(match.grid.shape, rng)
+        noise *= match.r - smooth + fitted
+        noise += rng.standard_normal() * smooth
+        noise *= match.used
+        noise /= SHOWN
+        return match.g * noise
 
     @cached_property
-    def _residual(self) -> Array:
-        return self.match.r * self.match.used / np.sqrt(self.left)
+    def _brightness(self) -> Array:
+        return Window(self.match.used, BRIGHTNESS).mean(self.match.r)
 
     def _rough(self, rng: np.random.Generator) -> Array:
         """Draw of the prior, whose precision is alpha over ``ease``, as F has it multiplied."""
@@ -118,17 +136,17 @@ class Errors:
 
 
 def smooth_noise(shape: tuple[int, ...], rng: np.random.Generator) -> Array:
-    """Normal field of variance 1 whose values are alike within the size of a block.
+    """Normal field of variance 1 whose values are alike within a few samples.
 
-    A cubic spline with random coefficients, one for each block.
+    A cubic spline with random coefficients, `APART`.
     """
     terms, count = [], []
     for n in shape:
-        at, t = np.divmod(np.arange(n) / BLOCK, 1)
+        at, t = np.divmod(np.arange(n) / APART, 1)
         w = np.stack(weights(t)[0], axis=1)
         w /= np.sqrt((w**2).sum(axis=1, keepdims=True))
         terms.append(Terms(at.astype(np.intp)[:, None] + np.arange(4), w))
-        count.append((n - 1) // BLOCK + 4)
+        count.append(int(at[-1]) + 4)
     noise = np.empty(shape, precision(len(shape)))
     resample(noise, rng.standard_normal(count).astype(noise.dtype, copy=False), terms)
     return noise
