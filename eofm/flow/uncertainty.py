@@ -26,7 +26,7 @@ APART = 4.0
 BRIGHTNESS, CONSTANT = 8.0, 16.0
 # Errors from white noise as they are drawn, as a part of what they are: residuals that are
 # completed by an independent error lack what both would share.
-SHOWN = 0.8
+SHOWN = 0.82
 # Draws before those that count, until residuals are complete.
 SETTLE = 3
 # Relative residual of a solve, which leaves less than a hundredth of a draw.
