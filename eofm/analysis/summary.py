@@ -116,7 +116,7 @@ def of_stiffness(found: "Stiffness") -> dict[str, Any]:
         "refused": found.refused or None,
         "modulus_range": None if found.refused else [float(found.E.min()), float(found.E.max())],
         "contrast_is_significant": found.contrast,
-        "edges_sought": list(found.problem.model.loose),
+        "edges_sought": list(found.fit.problem.model.loose),
         "edge_motion_factor": found.scale,
         "gamma": found.gamma,
         "rounds": found.rounds,

@@ -7,6 +7,7 @@ import numpy as np
 
 from eofm.grid import Array
 from eofm.identification.folds import Folds
+from eofm.identification.inclusions import Outlined, no_inclusions, outline
 from eofm.identification.inversion import Inversion, Report, gauss_newton
 from eofm.settings import Identification
 
@@ -19,6 +20,8 @@ NONE = 1e6
 # Factors of the weight where outlines are relaxed, from strong to weak, and how often they are.
 SHARPER = (27.0, 9.0, 3.0)
 ROUNDS = 3
+# Inclusions that are sought, at most.
+MOST = 6
 # Gain below which fits that are only compared stop, in units of ``least_gain``: they rank weights
 # long before they have converged.
 COMPARED = 4.0
@@ -27,8 +30,31 @@ RIVAL = 1.0
 
 
 @dataclass(frozen=True)
+class Fit:
+    """What an inversion with a prior finds.
+
+    Attributes
+    ----------
+    problem : Inversion
+        With the weights of the total variation.
+    z : ndarray
+    outlined : Outlined, optional
+        The inclusions of which it consists, if it does.
+    """
+
+    problem: Inversion
+    z: Array
+    outlined: Outlined | None = None
+
+    @property
+    def u(self) -> Array:
+        """Its displacement, shape (2, height, width), true lengths."""
+        return self.problem.u(self.problem.state(self.z))
+
+
+@dataclass(frozen=True)
 class Prior:
-    """How the modulus is kept smooth.
+    """What is known of the modulus before the images are seen.
 
     Attributes
     ----------
@@ -36,20 +62,35 @@ class Prior:
         Weight of the total variation; `NONE` leaves a homogeneous sample.
     sharper : float
         If not 0, outlines are relaxed afterwards, with the weight times this.
+    inclusions : int
+        If not 0, the modulus is that of so many inclusions with smooth outlines instead.
     """
 
     gamma: float
     sharper: float = 0.0
+    inclusions: int = 0
 
-    def fit(
-        self, problem: Inversion, z: Array, settings: Identification, report: Report
-    ) -> tuple[Inversion, Array]:
-        """Inversion whose outlines are relaxed, if they are, and its minimiser, from ``z``."""
+    def fit(self, start: Fit, settings: Identification, report: Report) -> Fit:
+        """Return what an inversion finds from the fit with another prior."""
+        problem, z = start.problem, start.z
+        if self.inclusions:
+            found = start.outlined or no_inclusions(problem, z)
+            for _ in range(self.inclusions - found.inclusions.count):
+                found = outline(found.more(), settings, report)
+            return Fit(problem, found.z, found)
         z = gauss_newton(problem, z, self.gamma, settings, report)
         for _ in range(ROUNDS if self.sharper else 0):
             problem = problem.relaxed(z)
             z = gauss_newton(problem, z, self.weight, settings, report)
-        return problem, z
+        return Fit(problem, z)
+
+    def again(self, fit: Fit, problem: Inversion, settings: Identification, report: Report) -> Fit:
+        """Return what an inversion about another estimate finds from the fit of one before."""
+        if fit.outlined:
+            found = outline(replace(fit.outlined, problem=problem), settings, report)
+            return Fit(problem, found.z, found)
+        problem = replace(problem, weights=fit.problem.weights)
+        return Fit(problem, gauss_newton(problem, fit.z, self.weight, settings, report))
 
     @property
     def weight(self) -> float:
@@ -64,18 +105,18 @@ class Choice:
     Attributes
     ----------
     prior : Prior
-    z : list of ndarray
+    fits : list of Fit
         What each fold finds with it.
     losses : ndarray
         Of each bubble.
-    rivals : tuple of list of ndarray
+    rivals : tuple of list of Fit
         What each fold finds with other priors that held-out bubbles do not rule out.
     """
 
     prior: Prior
-    z: list[Array]
+    fits: list[Fit]
     losses: Array
-    rivals: tuple[list[Array], ...] = ()
+    rivals: tuple[list[Fit], ...] = ()
 
     @property
     def score(self) -> float:
@@ -114,30 +155,37 @@ def choose(
     rough = settings.changed(least_gain=COMPARED * settings.least_gain)
     low, high = settings.gamma_range
 
-    def attempt(prior: Prior, start: list[Array]) -> Choice:
-        fits = [prior.fit(p, z, rough, report) for p, z in zip(parts, start, strict=True)]
-        fields = [p.u(p.state(z)) for p, z in fits]
-        return Choice(prior, [z for _, z in fits], folds.losses(fields))
+    def attempt(prior: Prior, start: list[Fit]) -> Choice:
+        fits = [prior.fit(fit, rough, report) for fit in start]
+        return Choice(prior, fits, folds.losses([fit.u for fit in fits]))
 
-    none = attempt(Prior(NONE), [p.start() for p in parts])
-    tried = [attempt(Prior(settings.gamma or high), none.z)]
-    while settings.gamma is None and tried[-1].prior.gamma / STEP >= low:
-        tried.append(attempt(Prior(tried[-1].prior.gamma / STEP), tried[-1].z))
-        scores = [choice.score for choice in tried]
-        if len(tried) - 1 - int(np.argmin(scores)) >= PATIENCE:
-            break
+    def going(tried: list[Choice]) -> bool:
+        return len(tried) - 1 - int(np.argmin([c.score for c in tried])) < PATIENCE
+
+    none = attempt(Prior(NONE), [Fit(p, p.start()) for p in parts])
+    tried = [attempt(Prior(settings.gamma or high), none.fits)]
+    while settings.gamma is None and tried[-1].prior.gamma / STEP >= low and going(tried):
+        tried.append(attempt(Prior(tried[-1].prior.gamma / STEP), tried[-1].fits))
     found = strongest(tried, settings.clear)
-    middle = attempt(Prior(found.prior.gamma, SHARPER[1]), found.z)
-    better = middle.score < found.score
-    other = attempt(Prior(found.prior.gamma, SHARPER[0 if better else 2]), found.z)
-    sharp = sorted([middle, other], key=lambda choice: -choice.prior.sharper)
-    found = strongest([*sharp, found], settings.clear)
+    gamma = found.prior.gamma
+    shaped = [attempt(Prior(gamma, inclusions=1), none.fits)]
+    while len(shaped) < MOST and going(shaped):
+        shaped.append(attempt(Prior(gamma, inclusions=len(shaped) + 1), shaped[-1].fits))
+    simple, sharp = strongest(shaped, RIVAL), list[Choice]()
+    if clearly_better(found.losses, simple.losses, RIVAL):
+        middle = attempt(Prior(gamma, SHARPER[1]), found.fits)
+        better = middle.score < found.score
+        other = attempt(Prior(gamma, SHARPER[0 if better else 2]), found.fits)
+        sharp = sorted([middle, other], key=lambda choice: -choice.prior.sharper)
+        found = strongest([*sharp, found], settings.clear)
+    else:
+        found = simple
     if settings.gamma is None and not clearly_better(
         found.losses, none.losses, settings.significant
     ):
         found = none
-    rivals = (c for c in (none, *tried, *sharp) if c is not found)
-    kept = [c.z for c in rivals if not clearly_better(found.losses, c.losses, RIVAL)]
+    rivals = (c for c in (none, *tried, *sharp, *shaped) if c is not found)
+    kept = [c.fits for c in rivals if not clearly_better(found.losses, c.losses, RIVAL)]
     return replace(found, rivals=tuple(kept))
 
 

@@ -4,6 +4,7 @@ Blocks of pixels cut bubbles, and what half of a bubble gets wrong, as it moves 
 strained, its other half does too: such blocks ask for too little smoothing.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -89,12 +90,12 @@ class Folds:
         loss: Array = (A22 * s1**2 - 2 * A12 * s1 * s2 + A11 * s2**2) / (det * self.match.noise**2)
         return loss
 
-    def without_elasticity(self, estimate: Estimate, u_bg: Array) -> list[Array]:
-        """Displacements as the preset estimates them, about a background, true lengths."""
+    def smooth(self, estimate: Estimate, backgrounds: Sequence[Array]) -> list[Array]:
+        """Displacements as the preset estimates them, about one for each part, true lengths."""
         F = estimate.functional
         ridge = RIDGE * self.match.strength * np.reshape([1, 0, 1], (3, 1, 1))
         fields = []
-        for out in self.masks:
+        for out, u_bg in zip(self.masks, backgrounds, strict=True):
             terms = self.match.eased(estimate.ease).density(u_bg, ~out)
             F = Quadratic(
                 F.grid, Pointwise(terms.A + ridge, terms.b), F.alpha, F.free, F.smoothness

@@ -25,9 +25,9 @@ from eofm.flow.estimate import Estimate, estimate_displacement
 from eofm.flow.functional import Pointwise
 from eofm.flow.known import Known
 from eofm.grid import FACES, Array, Edge, Mask, componentwise, faces, unit_spacing
-from eofm.identification.choice import NONE, Choice, choose, clearly_better
+from eofm.identification.choice import NONE, Choice, Fit, choose, clearly_better
 from eofm.identification.edges import motions
-from eofm.identification.folds import Folds
+from eofm.identification.folds import COUNT, Folds
 from eofm.identification.inversion import LARGEST, Inversion, Report, gauss_newton
 from eofm.identification.uncertainty import Errors
 from eofm.imaging.gaussian import blur
@@ -64,10 +64,9 @@ class Stiffness:
         Test 6: the displacement estimated with that field as background.
     choice : Choice
         What held-out bubbles say.
-    z : ndarray
-        What was sought.
-    problem : Inversion
-        What it minimises, for error bars, see `eofm.identification.uncertainty`.
+    fit : Fit
+        What was sought, and what it minimises, for error bars, see
+        `eofm.identification.uncertainty`.
     scale : float
         Factor of the stated motion of the edges that the images ask for; 1 where they do
         not contradict it.
@@ -85,8 +84,7 @@ class Stiffness:
     elastic: Array
     estimate: Estimate
     choice: Choice
-    z: Array
-    problem: Inversion
+    fit: Fit
     scale: float = 1.0
     rounds: int = 0
     change: float = np.inf
@@ -96,7 +94,7 @@ class Stiffness:
     @property
     def errors(self) -> Errors:
         """Error bars, of the displacement and of E."""
-        return Errors(self.problem, self.z, self.choice)
+        return Errors(self.fit, self.choice)
 
     @property
     def clarity(self) -> float:
@@ -226,6 +224,7 @@ def identify_stiffness(
             break
     bar.close()
     assert found is not None  # there is at least one round
+    found = found if alone else setup.settle(found)
     return replace(found, E=np.full_like(found.E, np.nan)) if refused else found
 
 
@@ -287,7 +286,7 @@ class Setup:
         folds, settings = Folds(estimate.match), self.settings
         parts = self.problems(estimate, [~out for out in folds.masks])
         choice = choose(parts, folds, settings, report)
-        preset = folds.losses(folds.without_elasticity(estimate, self.h * self.u_bg))
+        preset = folds.losses(folds.smooth(estimate, [self.h * self.u_bg] * COUNT))
         if not clearly_better(preset, choice.losses, settings.worse):
             return choice, ""
         return choice, (
@@ -303,20 +302,33 @@ class Setup:
         whole = self.problems(estimate, [everything])[0]
         if previous is None:
             start = self.first(whole, estimate, choice, report)
-            whole, z = prior.fit(whole, start, self.settings, report)
+            fit = prior.fit(Fit(whole, start), self.settings, report)
         else:
-            whole = replace(whole, weights=previous.problem.weights)
-            z = gauss_newton(whole, previous.z, prior.weight, self.settings, report)
-        log_E = LARGEST * np.tanh(whole.m(z) / LARGEST)
+            fit = prior.again(previous.fit, whole, self.settings, report)
+        log_E = LARGEST * np.tanh(whole.m(fit.z) / LARGEST)
         log_E = whole.model.elements_to_pixels(log_E - np.median(log_E))
-        elastic = whole.u(whole.state(z)) / self.h
-        return Stiffness(np.exp(log_E), elastic, estimate, choice, z, whole)
+        elastic = fit.u / self.h
+        return Stiffness(np.exp(log_E), elastic, estimate, choice, fit)
+
+    def settle(self, found: "Stiffness") -> "Stiffness":
+        """The same with the elastic displacement, where it predicts bubbles held out better.
+
+        The estimate about it has a weight that blocks of pixels chose, and may follow noise.
+        """
+        folds = Folds(found.estimate.match)
+        fields = [fit.u for fit in found.choice.fits]
+        smooth = folds.losses(folds.smooth(found.estimate, fields))
+        if not clearly_better(folds.losses(fields), smooth, self.settings.clear):
+            return found
+        return replace(found, estimate=replace(found.estimate, u=found.elastic))
 
     def first(
         self, problem: Inversion, estimate: Estimate, choice: Choice, report: Report
     ) -> Array:
         """The better of two starts: what a fold found, and what strains suggest."""
-        gamma, found = choice.prior.gamma, choice.z[0]
+        gamma, found = choice.prior.gamma, choice.fits[0].z
+        if choice.prior.inclusions:
+            return problem.start()
         if gamma >= NONE:
             return found
         starts = [found, problem.start(softness(estimate.u, problem.model))]
@@ -325,7 +337,12 @@ class Setup:
 
 
 def vague(found: Stiffness, settings: Identification) -> tuple[str, bool]:
-    """Why error bars do not bear E out, and whether not even its displacement; empty if they do."""
+    """Why error bars do not bear E out, and whether not even its displacement; empty if they do.
+
+    The few numbers of inclusions are borne out by the bubbles that chose them.
+    """
+    if found.fit.outlined:
+        return "", False
     clarity = found.clarity
     if clarity >= settings.clarity:
         return "", False

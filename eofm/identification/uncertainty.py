@@ -6,18 +6,21 @@ of the modulus: the deviation of a sample of the posterior is
 for each block of pixels.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.linalg import cho_factor, cho_solve
 
+from eofm.elasticity.sensitivity import State
 from eofm.flow.matching import random_signs
 from eofm.grid import Array, componentwise
-from eofm.identification.choice import Choice
-from eofm.identification.inversion import LARGEST, Inversion, slope
+from eofm.identification.choice import Choice, Fit
+from eofm.identification.inclusions import Outlined
+from eofm.identification.inversion import LARGEST, slope
 from eofm.imaging.gaussian import blur
 from eofm.threads import serial
 
@@ -30,24 +33,24 @@ DAMPING = 1e-2
 LARGEST_GAMMA = 30.0
 # Deviations, from as many parts as there are folds, that hold 68 % of Student's distribution.
 STUDENT = 1.2
+# Least deviation of log E: a modulus is taken to be constant in elements, and in inclusions.
+LEAST = 0.01
 # Width of the average of the folds' variances, px: four of them tell little of one place.
 WIDTH = 3.0
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Of the minimiser ``z`` of an inversion, and of the modulus.
+    """Of what an inversion finds, and of the modulus.
 
     Attributes
     ----------
-    problem : Inversion
-    z : ndarray
+    fit : Fit
     choice : Choice
         How its prior was chosen.
     """
 
-    problem: Inversion
-    z: Array
+    fit: Fit
     choice: Choice
 
     def deviations(self, samples: int, seed: int) -> tuple[Array, Array]:
@@ -58,30 +61,52 @@ class Errors:
         share the noise of the data, so that their sum would count it twice.
         """
         u, log_E = self._posterior(samples, seed)
-        return u, np.maximum.reduce([log_E, self._folds, self._priors])
+        return u, np.maximum.reduce([log_E, self._folds, self._priors, np.full_like(log_E, LEAST)])
 
     def _posterior(self, samples: int, seed: int) -> tuple[Array, Array]:
-        problem, z, rng = self.problem, self.z, np.random.default_rng(seed)
+        problem, z, rng = self.fit.problem, self.fit.z, np.random.default_rng(seed)
         state, m = problem.state(z), problem.m(z)
         misfit = problem.misfit(state)
+        squares_u, squares_E = np.zeros_like(misfit), np.zeros(misfit.shape[1:])
+        draw = self._outlines if self.fit.outlined else self._elements
+        for d in draw(state, misfit, rng, samples):
+            squares_u = squares_u + problem.forth(z, state, d) ** 2
+            d_E = slope(m) * problem.m(d)
+            squares_E = squares_E + problem.model.elements_to_pixels(d_E - np.median(d_E)) ** 2
+        squares_u /= componentwise(problem.model.spacing, 2) ** 2
+        return np.sqrt(squares_u / samples), np.sqrt(squares_E / samples)
+
+    def _elements(
+        self, state: State, misfit: Array, rng: np.random.Generator, samples: int
+    ) -> Iterator[Array]:
+        """Errors of ``z`` as they may be, of a modulus that varies from element to element."""
+        problem, z = self.fit.problem, self.fit.z
+        m = problem.m(z)
         gamma = min(self.choice.prior.weight, LARGEST_GAMMA)
         D1, D2 = problem.gradients
         size = np.sqrt((D1 @ m.ravel()) ** 2 + (D2 @ m.ravel()) ** 2 + problem.epsilon**2)
         root = np.sqrt(gamma * problem.weights * problem.area / size)
         prior = gamma * problem.prior(m) + DAMPING * sp.eye_array(m.size)
         solve = problem.solver(z, state, prior)
-        squares_u, squares_E = np.zeros_like(misfit), np.zeros(misfit.shape[1:])
         for _ in range(samples):
             right = problem.back(z, state, random_signs(misfit.shape[1:], rng) * misfit)
             z1, z2 = rng.standard_normal((2, m.size))
             right[: m.size] += D1.T @ (root * z1) + D2.T @ (root * z2)
             right[m.size :] += rng.standard_normal(z.size - m.size)
-            d = solve(right)
-            squares_u = squares_u + problem.forth(z, state, d) ** 2
-            d_E = slope(m) * problem.m(d)
-            squares_E = squares_E + problem.model.elements_to_pixels(d_E - np.median(d_E)) ** 2
-        squares_u /= componentwise(problem.model.spacing, 2) ** 2
-        return np.sqrt(squares_u / samples), np.sqrt(squares_E / samples)
+            yield solve(right)
+
+    def _outlines(
+        self, state: State, misfit: Array, rng: np.random.Generator, samples: int
+    ) -> Iterator[Array]:
+        """The same of inclusions with smooth outlines."""
+        found = cast(Outlined, self.fit.outlined)
+        J = found.derivative(state)
+        H = found.hessian(J) + np.diag(found.prior)
+        factor = cho_factor(H + 1e-9 * np.diag(H).max() * np.eye(len(H)))
+        for _ in range(samples):
+            right = np.tensordot(J, random_signs(misfit.shape[1:], rng) * misfit, 3)
+            right += np.sqrt(found.prior) * rng.standard_normal(len(H))
+            yield found.change(cho_solve(factor, right))
 
     @cached_property
     def _folds(self) -> Array:
@@ -89,7 +114,7 @@ class Errors:
 
         It knows what the linearised posterior does not: how far the fit follows single bubbles.
         """
-        found = self._log_E(self.choice.z)
+        found = self._log_E(self.choice.fits)
         count = len(found)
         squares = ((found - found.mean(0)) ** 2).sum(0)
         return STUDENT * np.sqrt((count - 1) / count * blur(squares, WIDTH))
@@ -97,16 +122,16 @@ class Errors:
     @cached_property
     def _priors(self) -> Array:
         """How far fits with other priors are off: a prior takes contrast off what it smooths."""
-        squares = np.zeros(self.problem.model.sample.shape)
-        found = self._log_E([self.z])[0]
-        for z in self.choice.rivals:
-            squares += (self._log_E(z).mean(0) - found) ** 2
+        squares = np.zeros(self.fit.problem.model.sample.shape)
+        found = self._log_E([self.fit])[0]
+        for fits in self.choice.rivals:
+            squares += (self._log_E(fits).mean(0) - found) ** 2
         return np.sqrt(squares / max(len(self.choice.rivals), 1))
 
-    def _log_E(self, z: Sequence[Array]) -> Array:
-        """Logarithm of the modulus relative to the background's at the pixels, of each ``z``."""
-        moduli = (LARGEST * np.tanh(self.problem.m(one) / LARGEST) for one in z)
-        to_pixels = self.problem.model.elements_to_pixels
+    def _log_E(self, fits: Sequence[Fit]) -> Array:
+        """Logarithm of the modulus relative to the background's at the pixels, of each fit."""
+        moduli = (LARGEST * np.tanh(self.fit.problem.m(fit.z) / LARGEST) for fit in fits)
+        to_pixels = self.fit.problem.model.elements_to_pixels
         return np.stack([to_pixels(log_E - np.median(log_E)) for log_E in moduli])
 
 

@@ -5,7 +5,7 @@ import pytest
 from pressed import PLAIN, pair
 
 from eofm.flow.estimate import estimate_displacement
-from eofm.identification import stiffness
+from eofm.identification import choice, stiffness
 from eofm.identification.choice import Choice, Prior, clearly_better, strongest
 from eofm.identification.folds import COUNT, Folds
 from eofm.identification.stiffness import identify_stiffness
@@ -67,13 +67,14 @@ def test_one_bubble_far_from_all_others_does_not_decide():
 def test_priors_that_are_not_ruled_out_are_rivals():
     I1, I2, _ = pair()
     found = identify_stiffness(I1, I2, PLAIN)
-    assert len(found.choice.rivals) < 8
-    z = found.choice.z[0]
-    assert all(not np.array_equal(rival[0], z) for rival in found.choice.rivals)
+    assert len(found.choice.rivals) < 12
+    z = found.choice.fits[0].z
+    assert all(not np.array_equal(rival[0].z, z) for rival in found.choice.rivals)
 
 
-def test_a_contrast_within_its_error_bars_is_refused():
+def test_a_contrast_within_its_error_bars_is_refused(monkeypatch):
     """The same images: refused only where more is asked of its error bars."""
+    monkeypatch.setattr(choice, "RIVAL", -100.0)  # total variation wins
     I1, I2, _ = pair()
     found = identify_stiffness(I1, I2, PLAIN)
     assert not found.refused
@@ -95,8 +96,8 @@ def test_what_predicts_worse_than_the_preset_is_refused(monkeypatch):
     I1, I2, _ = pair()
     monkeypatch.setattr(
         stiffness.Folds,
-        "without_elasticity",
-        lambda self, estimate, u_bg: [self.match.u] * COUNT,
+        "smooth",
+        lambda self, estimate, backgrounds: [self.match.u] * COUNT,
     )
     monkeypatch.setattr(stiffness.Folds, "losses", _exact_for_preset(Folds.losses))
     found = identify_stiffness(I1, I2, PLAIN)

@@ -112,7 +112,7 @@ def test_a_part_of_a_sample_shows_its_disc():
     x2, x1 = np.mgrid[part]
     disc = np.hypot(x1 - DISC.x1, x2 - DISC.x2) < DISC.radius
     assert not found.refused
-    assert found.problem.model.loose == tuple(faces(2))
+    assert found.fit.problem.model.loose == tuple(faces(2))
     contrast = np.median(found.E[disc]) / np.median(found.E[~disc])
     assert 2.5 < contrast < 8
     alone = estimate_displacement(I1[part], I2[part])
@@ -125,7 +125,7 @@ def test_where_nothing_is_known_of_edges_their_motion_is_sought():
     for seed in (6, 5):
         I1, I2, u = pair(stiff=False, seed=seed)
         found = identify_stiffness(I1, I2, PLAIN, known=known)
-        assert found.problem.model.loose == ("left", "right", "bottom")
+        assert found.fit.problem.model.loose == ("left", "right", "bottom")
         assert found.refused or not found.contrast or np.abs(np.log(found.E)).max() < 0.3
         alone = estimate_displacement(I1, I2, known=known)
         sought, without = (relative_errors(v, u)["e_rel"] for v in (found.estimate.u, alone.u))

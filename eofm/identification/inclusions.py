@@ -1,0 +1,228 @@
+"""A modulus that is constant but for inclusions with smooth outlines: few numbers to be sought.
+
+An outline is ``log r = a_0 + sum_k a_k cos k t + b_k sin k t`` about its middle, with the angle t,
+``k`` from 2. Where the images are noisy, that is known much better than the modulus of each
+element: a prior of total variation takes off contrast and spreads outlines over the noise.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from eofm.elasticity.sensitivity import Elastic, State
+from eofm.grid import Array
+from eofm.identification.inversion import Inversion, Report
+from eofm.settings import Identification
+
+# Sides of an element per width over which an outline is spread: about what an element averages.
+WIDTH = 6
+# Radius and distance of the discs that may become inclusions, as a part of the root of the area.
+DISC = 0.1
+# Harmonics of an outline, and their standard deviations before the images are seen: an ellipse
+# whose axes are as 2 to 1 has 0.33 of the second and 0.06 of the fourth.
+HARMONICS = np.arange(2, 7)
+SPREADS = HARMONICS**-2.5
+# Standard deviation of m; of places and radii, which the images must say, no one is known.
+CONTRAST = 2.0
+# Middle (2), log radius, m, and the cosines and sines of an inclusion.
+SIZE = 4 + 2 * len(HARMONICS)
+FIRST_SINE = 4 + len(HARMONICS)
+PRIOR = np.r_[np.zeros(3), CONTRAST**-2.0, np.tile(SPREADS**-2.0, 2)]
+# Second harmonic of an outline that may be of two inclusions.
+LONG = 0.5
+# Largest change of m and of a log radius in one step.
+STEP = 0.7
+
+
+@dataclass(frozen=True)
+class Inclusions:
+    """Inclusions on elements.
+
+    Attributes
+    ----------
+    model : Elastic
+    p : ndarray, shape (count, SIZE)
+    """
+
+    model: Elastic
+    p: Array
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return len(self.p)
+
+    @property
+    def parts(self) -> list[tuple[Array, Array]]:
+        """The m of each, and its derivative, shapes (elements,), (SIZE, elements)."""
+        h1, h2 = self.model.sides
+        width = (h1 + h2) / WIDTH
+        k = HARMONICS[:, None]
+        x2, x1 = ((np.arange(n) + 0.5) * h for n, h in zip(self.model.shape, (h2, h1), strict=True))
+        grid = [f.ravel() for f in np.broadcast_arrays(x1, x2[:, None])]
+        parts = []
+        for c1, c2, size, contrast, *waves in self.p:
+            d1, d2 = grid[0] - c1, grid[1] - c2
+            rho, t = np.hypot(d1, d2) + 1e-9, np.arctan2(d2, d1)
+            a, b = np.reshape(waves, (2, -1, 1))
+            cos, sin = np.cos(k * t), np.sin(k * t)
+            r = np.exp(np.minimum(size + (a * cos + b * sin).sum(0), 20))
+            turn = r * (k * (b * cos - a * sin)).sum(0) / rho**2
+            share = 0.5 * (1 + np.tanh((r - rho) / width))
+            slope = contrast * 2 * share * (1 - share) / width
+            rows = [d1 / rho + turn * d2, d2 / rho - turn * d1, r, *(r * cos), *(r * sin)]
+            by = slope * np.stack(rows)
+            parts.append((contrast * share, np.insert(by, 3, share, axis=0)))
+        return parts
+
+    def cut(self) -> "Inclusions":
+        """The same with two discs in the place of the longest one."""
+        waves = self.p[:, [4, FIRST_SINE]]
+        k = int(np.hypot(*waves.T).argmax())
+        x, length = self.p[k, :2], np.exp(self.p[k, 2] + np.hypot(*waves[k])) / 2
+        angle = np.arctan2(*waves[k, ::-1]) / 2
+        apart = length * np.array([np.cos(angle), np.sin(angle)])
+        rest = np.r_[np.log(length), self.p[k, 3], np.zeros(SIZE - 4)]
+        discs = [np.r_[x + side * apart, rest] for side in (-1, 1)]
+        return replace(self, p=np.vstack([np.delete(self.p, k, axis=0), discs]))
+
+    def outlined(self, problem: Inversion, z: Array) -> "Outlined":
+        """The same in an inversion, whose edges move as ``z`` says."""
+        parts, elements = self.parts, problem.elements
+        m = sum((part for part, _ in parts), np.zeros(elements))
+        by = np.concatenate([d for _, d in parts] or [np.zeros((0, elements))])
+        return Outlined(self, problem, np.r_[m, z[elements:]], by)
+
+
+@dataclass(frozen=True)
+class Outlined:
+    """Inclusions and motion of edges in an inversion.
+
+    Attributes
+    ----------
+    inclusions : Inclusions
+    problem : Inversion
+    z : ndarray
+        See :class:`Inversion`.
+    by : ndarray, shape (numbers of the inclusions, elements)
+        Derivative of m.
+    """
+
+    inclusions: Inclusions
+    problem: Inversion
+    z: Array
+    by: Array
+
+    @property
+    def prior(self) -> Array:
+        """Inverse variances of the numbers before the images are seen."""
+        return np.r_[np.tile(PRIOR, self.inclusions.count), np.ones(self.edges)]
+
+    @property
+    def edges(self) -> int:
+        """Unknowns of the edges."""
+        return self.problem.edges.shape[1]
+
+    @property
+    def values(self) -> Array:
+        """All numbers that are sought."""
+        return np.r_[self.inclusions.p.ravel(), self.z[self.problem.elements :]]
+
+    def changed(self, d: Array) -> "Outlined":
+        """The same after a change of the numbers."""
+        p = self.inclusions.p
+        moved = replace(self.inclusions, p=p + d[: p.size].reshape(p.shape))
+        z = self.z.copy()
+        z[self.problem.elements :] += d[p.size :]
+        return moved.outlined(self.problem, z)
+
+    def change(self, d: Array) -> Array:
+        """Change of ``z`` to first order."""
+        n = len(self.by)
+        return np.r_[d[:n] @ self.by, d[n:]]
+
+    def more(self) -> "Outlined":
+        """The same with one more inclusion.
+
+        A very long one, which may be two, is cut; if there is none, a disc is added where it takes
+        most off the misfit, to first order.
+        """
+        problem, p = self.problem, self.inclusions.p
+        if len(p) and np.hypot(p[:, 4], p[:, FIRST_SINE]).max() > LONG:
+            return self.inclusions.cut().outlined(problem, self.z)
+        state = problem.state(self.z)
+        right = problem.back(self.z, state, problem.misfit(state))
+        shape, sides = problem.model.shape[::-1], problem.model.sides
+        lengths = [k * h for k, h in zip(shape, sides, strict=True)]
+        radius = DISC * np.sqrt(lengths[0] * lengths[1])
+        x = [np.arange(radius / 2, length, radius) for length in lengths]
+        found = []
+        for middle in np.stack(np.meshgrid(*x), axis=-1).reshape(-1, 2):
+            disc = np.r_[middle, np.log(radius), 1.0, np.zeros(SIZE - 4)]
+            ((m, _),) = replace(self.inclusions, p=disc[None]).parts
+            d = np.r_[m, np.zeros(self.edges)]
+            u = problem.forth(self.z, state, d)
+            slope = float(d @ right)
+            curvature = float((problem.data.product(u) * u).sum()) + CONTRAST**-2
+            disc[3] = np.clip(slope / curvature, -STEP, STEP)
+            found.append((slope**2 / curvature, disc))
+        _, disc = max(found, key=lambda pair: pair[0])
+        return replace(self.inclusions, p=np.vstack([p, disc])).outlined(problem, self.z)
+
+    def derivative(self, state: State) -> Array:
+        """Of the displacement by each number, shape (numbers, 2, height, width)."""
+        return np.stack(
+            [self.problem.forth(self.z, state, self.change(d)) for d in np.eye(self.prior.size)]
+        )
+
+    def hessian(self, J: Array) -> Array:
+        """Gauss-Newton's, without the prior."""
+        A = np.stack([self.problem.data.product(u) for u in J])
+        H: Array = J.reshape(len(J), -1) @ A.reshape(len(J), -1).T
+        return H
+
+    def cost(self, state: State) -> float:
+        """Value of the functional, bar a constant."""
+        u, data = self.problem.u(state), self.problem.data
+        fit = (data.product(u) * u - 2 * data.b * u).sum()
+        return float(fit + (self.prior * self.values**2).sum())
+
+
+def no_inclusions(problem: Inversion, z: Array) -> Outlined:
+    """A homogeneous sample, whose edges move as ``z`` says."""
+    return Inclusions(problem.model, np.zeros((0, SIZE))).outlined(problem, z)
+
+
+def outline(now: Outlined, settings: Identification, report: Report) -> Outlined:
+    """Inclusions that fit the images best, started from some, by Levenberg and Marquardt."""
+    if not now.prior.size:
+        return now
+    problem = now.problem
+    state = problem.state(now.z)
+    cost, damping = now.cost(state), 1e-2
+    system = None
+    for step in range(settings.iterations):
+        if system is None:
+            J = now.derivative(state)
+            H = now.hessian(J) + np.diag(now.prior)
+            right = np.tensordot(J, problem.misfit(state), 3) - now.prior * now.values
+            system = H, right
+        H, right = system
+        damped = H + np.diag(damping * np.diag(H) + 1e-9 * np.diag(H).max())
+        d = cho_solve(cho_factor(damped), right)
+        jumps = np.abs(d[: now.inclusions.p.size].reshape(-1, SIZE)[:, 2:])
+        d *= min(1.0, STEP / max(float(jumps.max(initial=0)), 1e-12))
+        trial = now.changed(d)
+        trial_state = problem.state(trial.z)
+        gain = cost - trial.cost(trial_state)
+        report(0.0, step + 1, gain)
+        if not gain > 0:
+            damping *= 8
+            if damping > 1e6:
+                break
+            continue
+        now, state, cost, damping, system = trial, trial_state, cost - gain, damping / 4, None
+        if gain < settings.least_gain / 10:
+            break
+    return now
