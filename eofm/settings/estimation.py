@@ -199,7 +199,7 @@ class Identification(Section):
     clarity: float = Field(
         1.7,
         ge=0,
-        description="contrast of log E relative to its error bars below which it is refused",
+        description="contrast over its error bars below which total variation's E is refused",
     )
     epsilon: Positive = Field(0.02, description="gradient of log E that counts as an edge, 1/px")
     iterations: int = Field(30, ge=1, le=1000, description="largest number of Gauss-Newton steps")
