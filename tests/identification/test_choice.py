@@ -113,3 +113,13 @@ def _exact_for_preset(losses):
         return 0 * losses(self, fields) if exact else losses(self, fields)
 
     return changed
+
+
+@pytest.mark.parametrize("better", [True, False])
+def test_the_elastic_field_is_taken_where_it_predicts_better_than_test_6(monkeypatch, better):
+    I1, I2, _ = pair()
+    # The preset predicts no better; then the question of the elastic field.
+    answers = iter([False, better])
+    monkeypatch.setattr(stiffness, "clearly_better", lambda a, b, clear: next(answers))
+    found = identify_stiffness(I1, I2, PLAIN)
+    assert np.array_equal(found.estimate.u, found.elastic) == better
