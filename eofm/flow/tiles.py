@@ -305,7 +305,8 @@ def choose(
     last = chosen[-1] if chosen else None
     first = settings.alpha or last or float(np.mean([first_alpha(part[0]) for part in parts]))
     alpha = first
-    decides = number >= len(scale.problem.grids) - 2 and enough(scale.grid.shape)
+    finest = number == len(scale.problem.grids) - 1
+    decides = number >= len(scale.problem.grids) - 2 and enough(scale.grid.shape, finest)
     if settings.alpha is None and decides:
         held = folds(scale.grid.shape, len(tiles))
         trials = [
