@@ -7,7 +7,8 @@ The folder of the work holds what passes from one step to the next:
   (2, depth, height, width); ``dead_L.npy``: where they carry no data, if there are defects.
 - ``choice_L.json``: the weight of a scale that is solved in tiles.
 - ``tile_L_N.npy``: the field on the region of tile N, on the finest scale with the correlation
-  of the images as a last component; ``tile_L_N.json``: what the images say of it.
+  of the images and the standard deviations, px, as more components; ``tile_L_N.json``: what the
+  images say of it.
 - ``field_L.npy``: the whole field of a scale, in the unit of the grid.
 
 No step holds more than some windows as large as a tile in memory.
@@ -462,14 +463,18 @@ def tile(folder: Path, level: int, number: int) -> None:
             raise InputError(f"number: there are tiles 0 to {len(tiles) - 1} on level {level}")
         choice, part = read_choice(folder, level), tiles[number]
         start = work.start(level, part.region)
-        u, trust = solve(work.scale(level), part, start, choice)
+        # Error bars are of the finest scale, as what the images say is.
+        draws = 0 if level else work.plan.measures.error_bars
+        found = solve(work.scale(level), part, start, choice, draws, number)
+        values = [found.u]
         if level == 0:
-            seen = np.full((1, *u.shape[1:]), np.nan, np.float32)
-            seen[0][part.inner] = trust.map
-            u = np.concatenate([u, seen])
+            seen = np.full((1, *found.u.shape[1:]), np.nan, np.float32)
+            seen[0][part.inner] = found.trust.map
+            values += [seen] if found.deviation is None else [seen, found.deviation]
+        u = np.concatenate(values)
         store = work.new(f"tile_{level}_{number}", u.shape)
         store.write(tuple(slice(0, n) for n in u.shape), u)
-        io.write_json(folder / f"tile_{level}_{number}.json", trust.summary())
+        io.write_json(folder / f"tile_{level}_{number}.json", found.trust.summary())
 
 
 def read_choice(folder: Path, level: int) -> Choice:
