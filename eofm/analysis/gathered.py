@@ -18,7 +18,8 @@ from eofm.analysis.findings import SHORT
 from eofm.analysis.sections import Sections, middle
 from eofm.analysis.strain import strain
 from eofm.analysis.tensors import invariants, labels
-from eofm.analysis.tiles import Work, read_choice, write_field
+from eofm.analysis.tiles import write_field
+from eofm.analysis.work import Work, read_choice
 from eofm.flow.tiles import Tile, common, shape_of
 from eofm.flow.trust import Trust, pooled
 from eofm.grid import Array, componentwise, geometric_mean, precision, unit_spacing

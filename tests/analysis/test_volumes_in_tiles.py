@@ -13,9 +13,10 @@ from matplotlib.image import imread
 import eofm
 from eofm import io
 from eofm.analysis.gathered import write_gathered
+from eofm.analysis.plan import Plan
 from eofm.analysis.strain import strain
 from eofm.analysis.tensors import invariants
-from eofm.analysis.tiles import Plan, coarse, gather, tile
+from eofm.analysis.tiles import coarse, gather, tile
 from eofm.app.cli import main
 from eofm.compiled import use_threads
 from eofm.errors import InputError
