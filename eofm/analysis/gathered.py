@@ -5,14 +5,13 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from eofm import io
-from eofm.analysis import findings, summary
+from eofm.analysis import findings, page, summary
 from eofm.analysis.analyse import doubted
 from eofm.analysis.findings import SHORT
 from eofm.analysis.sections import Sections, middle
@@ -35,13 +34,6 @@ ENOUGH = 500_000
 # Files of figures by what `figures` says.
 KINDS = {"none": (), "png": ("png",), "all": ("png", "pdf")}
 FIGURES = ("pair", "displacement", "strain", "trust")
-PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>{title}</title>
-<style>:root {{ color-scheme: light dark; }} body {{ font: 15px/1.45 system-ui, sans-serif;
-margin: 1.2rem auto; max-width: 70rem; }} img {{ max-width: 100%; background: white; }}</style>
-</head><body><h1>{title}: {verdict}</h1><p>{subtitle}</p><ul>{found}</ul>{doubts}
-{figures}<footer><p>{footer}</p></footer></body></html>
-"""
 
 
 class Gathered:
@@ -316,18 +308,16 @@ def draw(
 
 
 def _page(title: str, said: dict[str, Any], kinds: tuple[str, ...], made: io.Origin) -> str:
-    """A page that says what was found and shows the figures, which lie beside it."""
+    """The page of the whole, but that its pictures are the figures, which lie beside it."""
     size = " x ".join(str(n) for n in said["size_px"])
     tiles = " x ".join(str(n) for n in said["tiles"])
-    found = "".join(f"<li>{escape(text)}</li>" for text in findings.found(said))
-    doubts = "".join(f"<p>{escape(reason)}.</p>" for reason in said["trust"][0]["reasons"])
-    shown = "".join(f'<p><img src="{name}.png" alt="{name}"></p>' for name in FIGURES)
-    return PAGE.format(
-        title=escape(title),
-        verdict=findings.verdict(said),
-        subtitle=f"{size} px in {tiles} tiles; sections through the middle.",
-        found=found,
-        doubts=doubts,
-        figures=shown if "png" in kinds else "",
-        footer=escape(f"Made by eofm {made.record()['eofm']}, step {made.step}."),
+    shown = [f'<section><img src="{name}.png" alt="{name}"></section>' for name in FIGURES]
+    return page.render(
+        title,
+        said,
+        f"{size} px in {tiles} tiles; sections through the middle",
+        list(findings.trusted(said)),
+        shown if "png" in kinds else [],
+        f"Made by eofm {made.record()['eofm']}, step {made.step}.",
+        tuple(said["size_px"][::-1]),
     )
