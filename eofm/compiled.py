@@ -122,4 +122,4 @@ class _Say(event.Listener):
 
 @cache
 def _say() -> None:
-    _log.warning("compiling a part of eofm; this installation keeps it (up to half a minute)")
+    _log.warning("compiling a part of eofm; this installation keeps it (up to a minute)")

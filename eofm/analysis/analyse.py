@@ -318,10 +318,16 @@ def _tracked(
 def _trust(trust: Trust, deviation: Array | None, errors: Array, dead: Mask | None) -> Trust:
     """The verdict, and what error bars and the way back add to it."""
     live = np.isfinite(errors) if dead is None else np.isfinite(errors) & ~dead
+    bar = None if deviation is None else float(np.median(length(deviation)))
+    return doubted(trust, bar, float(np.median(errors[live])) if live.any() else None)
+
+
+def doubted(trust: Trust, bar: float | None, gap: float | None = None) -> Trust:
+    """The verdict, and what the medians of error bars and of the way back, px, add to it."""
     doubts = []
-    if deviation is not None and (bar := float(np.median(length(deviation)))) > LONG:
+    if bar is not None and bar > LONG:
         doubts.append(f"half of the error bars are longer than {bar:.2f} px")
-    if live.any() and (gap := float(np.median(errors[live]))) > LONG:
+    if gap is not None and gap > LONG:
         doubts.append(f"the way back misses the start by {gap:.2f} px in the median")
     if not doubts:
         return trust

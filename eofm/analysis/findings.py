@@ -78,7 +78,7 @@ def found(summary: dict[str, Any]) -> list[str]:
 def doubts(summary: dict[str, Any]) -> list[Finding]:
     """What to doubt and what bears the result out, doubts first."""
     checks = (
-        _trusted,
+        trusted,
         _left,
         _back,
         _held,
@@ -129,7 +129,8 @@ def _percent(value: float) -> str:
     return f"{value + 0.0:.1%}"
 
 
-def _trusted(summary: dict[str, Any]) -> Iterator[Finding]:
+def trusted(summary: dict[str, Any]) -> Iterator[Finding]:
+    """What the verdict rests on, or why it is not good."""
     several = len(summary["trust"]) > 1
     for k, step in enumerate(summary["trust"], 1):
         of = f"Step {k}: " if several else ""

@@ -2,20 +2,23 @@
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from html import escape
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from eofm import io
-from eofm.analysis import findings, summary
+from eofm.analysis import findings, page, summary
+from eofm.analysis.analyse import doubted
+from eofm.analysis.findings import SHORT
 from eofm.analysis.sections import Sections, middle
 from eofm.analysis.strain import strain
-from eofm.analysis.tensors import labels
-from eofm.analysis.tiles import Work, read_choice, write_field
+from eofm.analysis.tensors import invariants, labels
+from eofm.analysis.tiles import write_field
+from eofm.analysis.work import Work, read_choice
 from eofm.flow.tiles import Tile, common, shape_of
 from eofm.flow.trust import Trust, pooled
 from eofm.grid import Array, componentwise, geometric_mean, precision, unit_spacing
@@ -31,13 +34,6 @@ ENOUGH = 500_000
 # Files of figures by what `figures` says.
 KINDS = {"none": (), "png": ("png",), "all": ("png", "pdf")}
 FIGURES = ("pair", "displacement", "strain", "trust")
-PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>{title}</title>
-<style>:root {{ color-scheme: light dark; }} body {{ font: 15px/1.45 system-ui, sans-serif;
-margin: 1.2rem auto; max-width: 70rem; }} img {{ max-width: 100%; background: white; }}</style>
-</head><body><h1>{title}: {verdict}</h1><p>{subtitle}</p><ul>{found}</ul>{doubts}
-{figures}<footer><p>{footer}</p></footer></body></html>
-"""
 
 
 class Gathered:
@@ -53,6 +49,15 @@ class Gathered:
         """Displacement, px."""
         found: Array = self.field.read((slice(0, self.n), *window)) / self.px
         return found
+
+    def deviation(self, window: Window) -> Array:
+        """Standard deviation of the displacement, px: errors of tiles are alike where they meet."""
+        return self.work.blended(0, window, slice(self.n + 1, 2 * self.n + 1))
+
+    @property
+    def bars(self) -> bool:
+        """Whether the tiles have standard deviations."""
+        return self.plan.measures.error_bars > 0
 
     def slices(self, read: Any) -> Iterator[Array]:
         """What ``read`` gives of each slice, without that axis."""
@@ -71,6 +76,10 @@ class Gathered:
             values = values if component is None else values[component]
             cuts.append(values.reshape([m for a, m in enumerate(values.shape) if a != axis]))
         return Sections(self.shape, cuts[0], cuts[2], cuts[1])
+
+    def times(self, read: Any, factor: Array | float) -> Any:
+        """The same in another unit."""
+        return lambda window: read(window) * factor
 
     def strain_of_all(self) -> io.Store:
         """Compute the strain, cube by cube."""
@@ -104,8 +113,10 @@ def write_gathered(work: Path, folder: Path) -> Trust:
     """Make the field of the tiles of the finest scale, and write all results into a folder.
 
     ``displacement.tif`` (px), ``displacement_um.tif`` if the size of a voxel is known,
-    ``strain.tif``, ``trust.tif``, ``summary.json``, ``provenance.json``, ``report.html``, and the
-    figures ``pair``, ``displacement``, ``strain`` and ``trust``: three sections through the middle.
+    ``deviation.tif`` if error bars are wanted, ``strain.tif``, ``strain_invariants.tif``,
+    ``trust.tif``, ``results.vti`` (the same for ParaView), ``summary.json``, ``provenance.json``,
+    ``report.html``, and the figures ``pair``, ``displacement``, ``strain`` and ``trust``: three
+    sections through the middle.
 
     Raises
     ------
@@ -118,9 +129,9 @@ def write_gathered(work: Path, folder: Path) -> Trust:
         results = Gathered(opened, write_field(opened, 0, opened.scratch(shape)))
         folder.mkdir(parents=True, exist_ok=True)
         e = results.strain_of_all()
-        trust = _trust(results)
         _write_fields(results, e, folder)
-        said = _summary(results, e, trust)
+        _write_vti(results, e, folder)
+        said, trust = _summary(results, e, _trust(results))
         kinds = KINDS[opened.plan.settings["pair"]["figures"]]
         for name in FIGURES:
             for kind in KINDS["all"]:
@@ -152,31 +163,66 @@ def _trust(results: Gathered) -> Trust:
 def _write_fields(results: Gathered, e: io.Store, folder: Path) -> None:
     n, (depth, *plane), sides = results.n, results.shape, results.plan.sides
     names = ("u1 lateral", "u2 axial", "u3 elevational")[:n]
-    shape = (depth, n, *plane)
 
-    def moved(unit: str, factor: Array | float) -> None:
-        labels_ = [f"{name} [{unit}]" for name in names]
-        name = "displacement.tif" if unit == "px" else f"displacement_{unit}.tif"
-        slices = (u * factor for u in results.slices(results.u))
-        io.write_slices(folder / name, slices, shape, labels_, sides)
+    def write(name: str, read: Any, said: Sequence[str]) -> None:
+        shape = (depth, len(said), *plane)
+        io.write_slices(folder / name, results.slices(read), shape, list(said), sides)
 
-    moved("px", 1.0)
-    io.remove(folder / "displacement_um.tif")
+    write("displacement.tif", results.u, [f"{name} [px]" for name in names])
+    for name in ("displacement_um.tif", "deviation.tif"):
+        io.remove(folder / name)
     if sides is not None:
-        moved("um", componentwise(sides, 2)[:n])
-    count = n * (n + 1) // 2
-    slices = results.slices(lambda window: e.read((slice(0, count), *window)))
-    io.write_slices(folder / "strain.tif", slices, (depth, count, *plane), labels(n), sides)
+        um = results.times(results.u, componentwise(sides, n))
+        write("displacement_um.tif", um, [f"{name} [um]" for name in names])
+    if results.bars:
+        of = [f"deviation of {name} [px]" for name in names]
+        write("deviation.tif", results.deviation, of)
+    write("strain.tif", partial(_values, e), labels(n))
+    named = list(_invariants(results, e, tuple(slice(0, 1) for _ in results.shape)))
+    derived = partial(_invariants, results, e)
+    write("strain_invariants.tif", lambda w: np.stack(list(derived(w).values())), named)
     slices = results.slices(results.trust)
     io.write_slices(folder / "trust.tif", slices, results.shape, None, sides)
 
 
-def _summary(results: Gathered, e: io.Store, trust: Trust) -> dict[str, Any]:
-    """What a reader wants to know first, named as in the summary of any sample."""
+def _values(e: io.Store, window: Window) -> Array:
+    """A window of all components."""
+    found: Array = e.read((slice(0, e.shape[0]), *window))
+    return found
+
+
+def _invariants(results: Gathered, e: io.Store, window: Window) -> dict[str, Array]:
+    """What does not depend on the axes of the strain."""
+    return invariants(_values(e, window), results.plan.measures.strain_measure)
+
+
+def _write_vti(results: Gathered, e: io.Store, folder: Path) -> None:
+    """All fields on the first volume, lengths in the unit of its sides, which warping asks for."""
+    n, plan = results.n, results.plan
+    unit = "px" if plan.sides is None else "um"
+    side = componentwise(results.sides, n)
+    reads: dict[str, tuple[int, Any]] = {
+        "first frame": (1, lambda w: results.work.read(0, 0, w)[0]),
+        f"displacement [{unit}]": (n, results.times(results.u, side)),
+    }
+    if results.bars:
+        bars = results.times(results.deviation, side)
+        reads[f"standard deviation [{unit}]"] = (n, bars)
+    reads["strain"] = (e.shape[0], partial(_values, e))
+    for name in _invariants(results, e, tuple(slice(0, 1) for _ in results.shape)):
+        reads[name] = (1, lambda w, name=name: _invariants(results, e, w)[name])
+    reads["match of the images"] = (1, results.trust)
+    fields = {name: (count, results.slices(read)) for name, (count, read) in reads.items()}
+    strains = {"strain": labels(n)}
+    io.write_vti_slices(folder / "results.vti", fields, results.shape, results.sides, strains)
+
+
+def _summary(results: Gathered, e: io.Store, trust: Trust) -> tuple[dict[str, Any], Trust]:
+    """What a reader wants to know first, named as in the summary of any sample; the verdict."""
     plan, n = results.plan, results.n
     low, high = np.full(n, np.inf), np.full(n, -np.inf)
     step = max(1, math.ceil((math.prod(results.shape) / ENOUGH) ** (1 / n)))
-    some = []
+    some, bars = [], []
     for part in io.windows(results.shape, max(plan.most // 4, 1)):
         u = results.u(part).reshape(n, -1)
         low, high = np.minimum(low, u.min(axis=1)), np.maximum(high, u.max(axis=1))
@@ -184,6 +230,8 @@ def _summary(results: Gathered, e: io.Store, trust: Trust) -> dict[str, Any]:
         at = tuple(slice(-w.start % step, None, step) for w in part)
         values = e.read((slice(0, e.shape[0]), *part))[:, *at]
         some.append(values.reshape(len(values), -1))
+        if results.bars:
+            bars.append(results.deviation(part)[:, *at].reshape(n, -1))
     sampled = np.concatenate(some, axis=1)[:, :, None, None]
     live = np.zeros(sampled.shape[1:], dtype=bool)
     found: dict[str, Any] = {
@@ -201,7 +249,11 @@ def _summary(results: Gathered, e: io.Store, trust: Trust) -> dict[str, Any]:
         found[f"u{i + 1}_range_um"] = [float(side * low[i]), float(side * high[i])]
     found["largest_motion_px"] = [float(max(-a, b, 0)) for a, b in zip(low, high, strict=True)]
     found |= summary.of_strain(sampled, plan.measures, results.window, live)
-    return found | {"trust": [trust.summary()]}
+    if results.bars:
+        deviation = np.concatenate(bars, axis=1)
+        found["deviation_median_px"] = [float(np.median(d)) for d in deviation]
+        trust = doubted(trust, float(np.median(summary.length(deviation))))
+    return found | {"trust": [trust.summary()]}, trust
 
 
 def _figure_settings(results: Gathered) -> Figures:
@@ -229,6 +281,14 @@ def draw(
         limits = limits if limits[1] > limits[0] else (limits[0] - 0.5, limits[0] + 0.5)
         part = results.sections(results.u, i).times(factors[i])
         moved.append((f"{NAMES[i]} displacement $u_{i + 1}$", part, Look(MAPS[i], limits, unit)))
+    rows = [moved]
+    if results.bars:
+        rows.append([])
+        for i in range(n):
+            part = results.sections(results.deviation, i).times(factors[i])
+            top = max(float(np.percentile(part.values(), 99.5)), SHORT * factors[i])
+            look = Look("magma_r", (0.0, top), unit)
+            rows[1].append((f"error bar of $u_{i + 1}$", part, look))
     strains = []
     for k, (i, j) in enumerate(pairs(n)):
         name = f"{NAMES[i]} strain" if i == j else "shear strain"
@@ -241,25 +301,23 @@ def draw(
     titles = ("before compression", "after compression")
     return {
         "pair": sections([list(zip(titles, images, [grey] * 2, strict=True))], settings),
-        "displacement": sections([moved], settings),
+        "displacement": sections(rows, settings),
         "strain": sections([strains[k : k + 3] for k in range(0, len(strains), 3)], settings),
         "trust": sections([[(title, match, Look("cividis", (0, 1)))]], settings),
     }
 
 
 def _page(title: str, said: dict[str, Any], kinds: tuple[str, ...], made: io.Origin) -> str:
-    """A page that says what was found and shows the figures, which lie beside it."""
+    """The page of the whole, but that its pictures are the figures, which lie beside it."""
     size = " x ".join(str(n) for n in said["size_px"])
     tiles = " x ".join(str(n) for n in said["tiles"])
-    found = "".join(f"<li>{escape(text)}</li>" for text in findings.found(said))
-    doubts = "".join(f"<p>{escape(reason)}.</p>" for reason in said["trust"][0]["reasons"])
-    shown = "".join(f'<p><img src="{name}.png" alt="{name}"></p>' for name in FIGURES)
-    return PAGE.format(
-        title=escape(title),
-        verdict=findings.verdict(said),
-        subtitle=f"{size} px in {tiles} tiles; sections through the middle.",
-        found=found,
-        doubts=doubts,
-        figures=shown if "png" in kinds else "",
-        footer=escape(f"Made by eofm {made.record()['eofm']}, step {made.step}."),
+    shown = [f'<section><img src="{name}.png" alt="{name}"></section>' for name in FIGURES]
+    return page.render(
+        title,
+        said,
+        f"{size} px in {tiles} tiles; sections through the middle",
+        list(findings.trusted(said)),
+        shown if "png" in kinds else [],
+        f"Made by eofm {made.record()['eofm']}, step {made.step}.",
+        tuple(said["size_px"][::-1]),
     )

@@ -14,7 +14,7 @@ import numpy as np
 
 from eofm.analysis import findings, pictures
 from eofm.analysis.analyse import Analysis
-from eofm.analysis.findings import ASTRAY, NAMES, SHORT, Units
+from eofm.analysis.findings import ASTRAY, NAMES, SHORT, Finding, Units
 from eofm.analysis.summary import HELD, held
 from eofm.analysis.tensors import invariants, labels
 from eofm.grid import Array
@@ -47,20 +47,40 @@ def page(results: Analysis, title: str, images: Sequence[str] = (), made: str = 
     if results.first.ndim == 3:
         subtitle += "; sections through the middle: from in front, from the side, from above"
     named = ", ".join(escape(name) for name in images)
-    doubts = findings.doubts(summary)
     sections = (_pair, _displacement, _strain, _trust, _stiffness, _table)
     maker = Maker(results, units)
+    return render(
+        title,
+        summary,
+        f"{named + ': ' if named else ''}{subtitle}",
+        findings.doubts(summary),
+        [part for section in sections for part in section(maker)],
+        made,
+        results.first.shape,
+    )
+
+
+def render(
+    title: str,
+    summary: dict[str, Any],
+    subtitle: str,
+    doubts: Sequence[Finding],
+    sections: Sequence[str],
+    made: str,
+    shape: tuple[int, ...],
+) -> str:
+    """A page of what stands in a summary, the first of some ``doubts`` first, and of sections."""
     return Template(_template()).substitute(
         title=escape(title),
-        kind="volume" if results.first.ndim == 3 else "image",
+        kind="volume" if len(shape) == 3 else "image",
         # Deep pictures stand in narrow columns.
-        least="20rem" if results.first.shape[-1] >= results.first.shape[-2] else "13rem",
+        least="20rem" if shape[-1] >= shape[-2] else "13rem",
         verdict=findings.verdict(summary),
-        subtitle=f"{named + ': ' if named else ''}{subtitle}",
+        subtitle=subtitle,
         found="".join(f"<li>{escape(text)}</li>" for text in findings.found(summary)),
         heading=HEADINGS[doubts[0].level],
         doubts="".join(map(_finding, doubts)),
-        sections="\n".join(part for section in sections for part in section(maker)),
+        sections="\n".join(sections),
         footer=escape(made),
     )
 
@@ -297,7 +317,7 @@ def _section(title: str, text: str, maps: Sequence[str], wide: bool = False) -> 
     )
 
 
-def _finding(finding: Any) -> str:
+def _finding(finding: Finding) -> str:
     advice = f"<em>{escape(finding.advice)}</em>" if finding.advice else ""
     return f'<li class="{finding.level}">{escape(finding.text)}{advice}</li>'
 

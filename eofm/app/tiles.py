@@ -64,9 +64,10 @@ def gather(
       eofm gather work --folder results/mine
 
     Tiles pass over smoothly into each other. On level 0 the results go to the folder:
-    displacement.tif (px), displacement_um.tif, strain.tif, trust.tif, summary.json, figures and
-    report.html, all of them or nothing. Where the images do not bear the estimate out, it says
-    why; if they contradict it, the exit status is 3.
+    displacement.tif (px), displacement_um.tif, deviation.tif, strain.tif, strain_invariants.tif,
+    trust.tif, results.vti, summary.json, figures and report.html, all of them or nothing. Where
+    the images do not bear the estimate out, it says why; if they contradict it, the exit status
+    is 3.
     """
     from eofm.analysis.tiles import gather
     from eofm.errors import InputError

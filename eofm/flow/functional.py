@@ -109,9 +109,15 @@ def speckle_term(grid: Grid, x: Array, u: Array, beta: float | Array, sigma: flo
         One weight, or one for each bubble.
     sigma : float
         Standard deviation of the Gaussians, px.
+
+    Notes
+    -----
+    The factor of a Gaussian is the paper's, ``1 / (2 pi sigma^2)``, in volumes as well: a slice
+    through bubbles has the term of an image of them. So ``beta`` has no unit, as ``|grad I|^2``
+    has none, and bubbles as far apart say as much beside it. Of an integral of 1, which would take
+    a third sigma, they would say a tenth of that.
     """
-    volume = (2 * np.pi) ** (grid.ndim / 2) * sigma**grid.ndim
-    weights = np.broadcast_to(beta, x.shape[1:]) / volume
+    weights = np.broadcast_to(beta, x.shape[1:]) / (2 * np.pi * sigma**2)
     g = gaussians(grid.axes, x, sigma, weights * [np.ones_like(u[0]), *u])
     return isotropic(g[0], g[1:])
 

@@ -105,7 +105,8 @@ class Problem:
         if settings.edge_weight:
             known.append(edge_term(grid, edges, settings.edge_weight))
             edges = {}
-        decides = settings.alpha is None and number >= len(self.grids) - 2 and enough(grid.shape)
+        last = number >= len(self.grids) - 2
+        decides = settings.alpha is None and last and enough(grid.shape, finest)
         prescribed, free = _prescribed(grid, edges)
         still = settings.warped_by == "nothing" or (number == 0 and settings.start == "zero")
         return Level(

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from eofm.errors import InputError
+from eofm.flow.estimate import Estimate
 from eofm.flow.matching import ImagePair, Match, Overall
 from eofm.flow.multigrid import multigrid
 from eofm.flow.problem import COARSE, FINEST, ROUGH, Level, Problem, image_pair, nothing
@@ -305,7 +306,8 @@ def choose(
     last = chosen[-1] if chosen else None
     first = settings.alpha or last or float(np.mean([first_alpha(part[0]) for part in parts]))
     alpha = first
-    decides = number >= len(scale.problem.grids) - 2 and enough(scale.grid.shape)
+    finest = number == len(scale.problem.grids) - 1
+    decides = number >= len(scale.problem.grids) - 2 and enough(scale.grid.shape, finest)
     if settings.alpha is None and decides:
         held = folds(scale.grid.shape, len(tiles))
         trials = [
@@ -363,20 +365,59 @@ def _part(match: Match, window: Window) -> Match:
     return Match(grid, u, g, r, used)
 
 
-def solve(scale: Scale, tile: Tile, start: Array, choice: Choice) -> tuple[Array, Trust]:
-    """The field on the region of a tile, in true lengths, and what the images say of its core."""
+class Solved(NamedTuple):
+    """What a tile gives.
+
+    Attributes
+    ----------
+    u : ndarray, shape (ndim, ...)
+        The field on its region, in true lengths.
+    trust : Trust
+        What the images say of its core.
+    deviation : ndarray, shape (ndim, ...), or None
+        The standard deviation of the field, samples.
+    """
+
+    u: Array
+    trust: Trust
+    deviation: Array | None
+
+
+def solve(scale: Scale, tile: Tile, start: Array, choice: Choice, draws: int, seed: int) -> Solved:
+    """Estimate a tile of a scale.
+
+    Parameters
+    ----------
+    scale : Scale
+    tile : Tile
+    start : ndarray, shape (ndim, ...)
+        A field on its region, in true lengths.
+    choice : Choice
+    draws : int
+        Samples for the standard deviation; none if 0.
+    seed : int
+        Of them.
+    """
     level = replace(scale, overall=Overall(choice.overall)).level(tile.region, start)
     u = _near(level, choice.first)
     # One solve is done.
     settings = level.problem.settings
     settings = settings.changed(warps=max(1, settings.warps - 1))
     rest = replace(level, problem=replace(level.problem, settings=settings), coarse=u)
-    u = rest.improve((choice.alpha,), False).u
-    pair = replace(level.pair, robust=False)
-    match, inner = pair.linearise(u), tile.inner
-    I1, used = pair.I1[inner], match.used[inner]
-    samples = pair.grid.samples(u)[:, *inner]
-    return u, judge(I1, I1 + match.r[inner], used, samples, tuple(level.problem.v_edges))
+    better = rest.improve((choice.alpha,), False)
+    u, edges = better.u, tuple(level.problem.v_edges)
+    samples = level.pair.grid.samples(u)
+    deviation = None
+    if draws:
+        F, denoising, spacing = better.functional, settings.denoising, scale.grid.spacing
+        found = Estimate(
+            samples, better.alpha, level.pair, denoising, F, level.base, better.ease, spacing
+        )
+        deviation = found.deviation(draws, seed)
+    match, inner = replace(level.pair, robust=False).linearise(u), tile.inner
+    I1, used = level.pair.I1[inner], match.used[inner]
+    trust = judge(I1, I1 + match.r[inner], used, samples[:, *inner], edges)
+    return Solved(u, trust, deviation)
 
 
 def blend(

@@ -28,14 +28,17 @@ REACH = 8.0
 STEP, FARTHEST = 3.0, 6
 # A misfit as large as that of a motion which is off by so many samples may be a motion that was
 # lost; by how many steps less it is looked for, and the part of the misfit that tells.
-LOST, PROBES, TELLS = 0.25, (4, 8, 12), 0.9
+LOST, PROBES, TELLS = 0.25, (2, 4, 6, 8, 10, 12), 0.9
 # Part of the misfit that is left at most if a weight that varies is to be believed.
 GAIN = 0.999
+# By how little weights larger by so many steps change the misfit where the motion is as stiff as
+# one can make it, so that nothing leads downhill.
+STIFF, UP = 1e-3, (1, 4)
 # Misfit, as a part of the least, up to which a weight that other scales ask for is as good.
 EQUAL = 1.1
-# Fewer blocks than these do not tell weights apart; where there are fewer than MANY, all are held
-# out by turns.
-BLOCKS, MANY = 20, 256
+# Fewer blocks than these do not tell weights apart well; the finest scale, whose weight nothing
+# else tells, makes do with FEWEST. Where there are fewer than MANY, all are held out by turns.
+BLOCKS, FEWEST, MANY = 20, 8, 256
 # Pixels around a held-out block that are not used either: the noise of images that were
 # filtered is correlated, and would be fitted on both sides of the border.
 MARGIN = 2
@@ -63,9 +66,9 @@ def first_alpha(match: Match) -> float:
     return (match.strength + np.finfo(float).tiny) * reach**4
 
 
-def enough(shape: tuple[int, ...]) -> bool:
-    """Whether an image has blocks enough to choose a weight."""
-    return math.prod(shape) >= BLOCKS * BLOCK ** len(shape)
+def enough(shape: tuple[int, ...], finest: bool) -> bool:
+    """Whether a scale has blocks enough to choose a weight."""
+    return math.prod(shape) >= (FEWEST if finest else BLOCKS) * BLOCK ** len(shape)
 
 
 def choose_alpha(
@@ -87,7 +90,9 @@ def choose_alpha(
 
     Motion that varies within a few structures of the image has two minima: large weights
     smooth it away, those between follow some of it wrongly, and small ones find it. So
-    the first scale to choose looks for another one far below, where much is left unexplained.
+    the first scale to choose looks for another one far below, where much is left unexplained, and
+    any scale where the motion is as stiff as a weight can make it: an affine one, whose misfit
+    is the same for all large weights.
 
     Parameters
     ----------
@@ -161,9 +166,12 @@ def least_misfit(trials: "Sequence[Trial]", start: float, before: Sequence[float
 
     k = downhill(0)
     squares = sum(float((t.counts * (t.match.g**2).sum(0)).sum()) for t in trials)
-    if not before and misfit(k) > (LOST * trials[0].match.grid.side) ** 2 * squares:
-        low = min((k - far for far in PROBES), key=misfit)
-        if misfit(low) < TELLS * misfit(k):
+    lost = not before and misfit(k) > (LOST * trials[0].match.grid.side) ** 2 * squares
+    high, low = max(k, 0), min(k, 0)
+    stiff = all(misfit(high + far) < (1 + STIFF) * misfit(high) for far in UP)
+    if lost or stiff:
+        low = min((low - far for far in PROBES), key=misfit)
+        if misfit(low) < (1 if stiff else TELLS) * misfit(k):
             k = downhill(low)
     left, middle, right = (misfit(j) for j in (k - 1, k, k + 1))
     curvature = left - 2 * middle + right

@@ -40,7 +40,7 @@ from eofm.io.tables import (
     write_table,
 )
 from eofm.io.tiff import write_slices
-from eofm.io.vti import write_vti
+from eofm.io.vti import write_vti, write_vti_slices
 
 __all__ = [
     "BUBBLE_COLUMNS",
@@ -79,4 +79,5 @@ __all__ = [
     "write_slices",
     "write_table",
     "write_vti",
+    "write_vti_slices",
 ]

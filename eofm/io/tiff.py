@@ -9,6 +9,7 @@ import re
 import struct
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
@@ -55,16 +56,10 @@ def read_tiff(name: str) -> Scan:
     ValueError
         If it is damaged.
     """
-    with open(name, "rb") as file:
-        _check_pages(file)
-    # Another file that this one names is none of ours.
-    with tifffile.TiffFile(name, _multifile=False) as tiff:
-        series = tiff.series[0]
+    with _opened(name) as (tiff, series):
         check_size(name, series.shape, series.dtype.itemsize)
         page = series.keyframe
         _check_strips(name, page)
-        if page.photometric == PALETTE and not _grey(page.colormap):
-            raise InputError(f"{name}: has a colour map; convert it to greyscale first")
         pages = series.asarray(maxworkers=1)
         if pages.shape != series.shape:
             raise ValueError(f"it says {series.shape} and holds {pages.shape}")
@@ -90,13 +85,8 @@ def locate(
     ValueError
         If it is damaged.
     """
-    with open(name, "rb") as file:
-        _check_pages(file)
-    with tifffile.TiffFile(name, _multifile=False) as tiff:
-        series = tiff.series[0]
+    with _opened(name) as (tiff, series):
         page = series.keyframe
-        if page.photometric == PALETTE:
-            raise InputError(f"{name}: has a colour map; convert it to greyscale first")
         if not page.is_memmappable:
             raise InputError(
                 f"{name}: is compressed or in tiles, so that no part of it can be read alone; save"
@@ -112,6 +102,20 @@ def locate(
         if len(offsets) != count or any(not 0 <= at <= size - bytes_ for at in offsets):
             raise ValueError("a part of the image lies beyond the end of the file")
         return dtype, shape, offsets, _meant(series.axes), _sizes(tiff)
+
+
+@contextmanager
+def _opened(name: str) -> Iterator[tuple[Any, Any]]:
+    """A TIFF whose pages are there, and those of them that belong together, of grey values."""
+    with open(name, "rb") as file:
+        _check_pages(file)
+    # Another file that this one names is none of ours.
+    with tifffile.TiffFile(name, _multifile=False) as tiff:
+        series = tiff.series[0]
+        page = series.keyframe
+        if page.photometric == PALETTE and not _grey(page.colormap):
+            raise InputError(f"{name}: has a colour map; convert it to greyscale first")
+        yield tiff, series
 
 
 def write_tiff(

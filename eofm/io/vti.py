@@ -5,7 +5,7 @@ The format: "VTK XML Formats" of the VTK documentation; the values are appended 
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -45,35 +45,60 @@ def write_vti(
     ValueError
         If an array has another shape than the others.
     """
-    check_place(path, "VTI")
-    origin.check_not_read(path)
-    ndim = len(sides)
-    fields = {name: _interleaved(values, ndim) for name, values in arrays.items()}
-    shape, *others = [values.shape[:-1] for values in fields.values()]
+    fields = {name: _numbers(values, len(sides)) for name, values in arrays.items()}
+    shape, *others = [values.shape[1:] for values in fields.values()]
     if any(other != shape for other in others):
         raise ValueError(f"arrays of the shapes {shape} and {others} are on no common grid")
+    parts = {name: (len(f), np.moveaxis(f, 1, 0)) for name, f in fields.items()}
+    write_vti_slices(path, parts, shape, sides, components)
+
+
+def write_vti_slices(
+    path: Path,
+    fields: Mapping[str, tuple[int, Iterable[NDArray]]],
+    shape: tuple[int, ...],
+    sides: Sequence[float],
+    components: Mapping[str, Sequence[str]] | None = None,
+) -> None:
+    """The same file as `write_vti` makes, of arrays that come slice by slice.
+
+    Parameters
+    ----------
+    path : Path
+    fields : mapping of (int, iterable of ndarray)
+        How many numbers each pixel has, and slices of them, of shape ([n,] height, width) each, of
+        an image rows of shape (n, width).
+    shape : tuple of int
+        That of the image or volume.
+    sides, components
+        As of `write_vti`.
+    """
+    check_place(path, "VTI")
+    origin.check_not_read(path)
+    counts = {name: count for name, (count, _) in fields.items()}
     with replacing(path) as temporary, temporary.open("wb") as file:
-        file.write(_head(fields, shape, sides, components or {}).encode())
-        for values in fields.values():
-            file.write(np.array(4 * values.size, "<u8").tobytes())
-            for page in values:  # a copy of all would fill the memory
-                file.write(np.ascontiguousarray(page, "<f4").tobytes())
+        file.write(_head(counts, shape, sides, components or {}).encode())
+        for count, parts in fields.values():
+            file.write(np.array(4 * count * math.prod(shape), "<u8").tobytes())
+            for part in parts:
+                numbers = np.moveaxis(part.reshape(count, *shape[1:]), 0, -1)
+                file.write(np.ascontiguousarray(numbers, "<f4").tobytes())
         file.write(b"\n</AppendedData>\n</VTKFile>\n")
 
 
-def _interleaved(values: NDArray, ndim: int) -> NDArray:
-    """The numbers of each pixel last; vectors have three."""
+def _numbers(values: NDArray, ndim: int) -> NDArray:
+    """The numbers of all pixels, shape (n, ...); vectors have three."""
     if values.ndim == ndim:
-        return values[..., None]
+        return values[None]
     if values.ndim != ndim + 1:
         raise ValueError(f"an array of shape {values.shape} is on no grid with {ndim} axes")
     if len(values) == ndim == 2:
-        values = np.concatenate([values, np.zeros_like(values[:1])])
-    return np.moveaxis(values, 0, -1)
+        return np.concatenate([values, np.zeros_like(values[:1])])
+    return values
 
 
 def _head(
-    fields: Mapping[str, NDArray],
+    fields: Mapping[str, int],
     shape: tuple[int, ...],
     sides: Sequence[float],
     components: Mapping[str, Sequence[str]],
@@ -93,14 +118,14 @@ def _head(
         lines += ["<FieldData>", f"{kind}{codes} 0</Array>", "</FieldData>"]
     lines += [f'<Piece Extent="{extent}">', "<PointData>"]
     offset = 0
-    for name, values in fields.items():
+    for name, count in fields.items():
         named = enumerate(components.get(name, ()))
         names = "".join(f" ComponentName{n}={quoteattr(word)}" for n, word in named)
         lines.append(
             f'<DataArray type="Float32" Name={quoteattr(name)}'
-            f' NumberOfComponents="{values.shape[-1]}"{names}'
+            f' NumberOfComponents="{count}"{names}'
             f' format="appended" offset="{offset}"/>'
         )
-        offset += COUNT + 4 * math.prod(values.shape)
+        offset += COUNT + 4 * count * math.prod(shape)
     lines += ["</PointData>", "</Piece>", "</ImageData>", '<AppendedData encoding="raw">', "_"]
     return "\n".join(lines)

@@ -1,6 +1,8 @@
 """Volumes in tiles: what comes out is what the whole gives, and bad input ends in one line."""
 
 import json
+import math
+import re
 import shutil
 
 import numpy as np
@@ -11,8 +13,10 @@ from matplotlib.image import imread
 import eofm
 from eofm import io
 from eofm.analysis.gathered import write_gathered
+from eofm.analysis.plan import Plan
 from eofm.analysis.strain import strain
-from eofm.analysis.tiles import Plan, coarse, gather, tile
+from eofm.analysis.tensors import invariants
+from eofm.analysis.tiles import coarse, gather, tile
 from eofm.app.cli import main
 from eofm.compiled import use_threads
 from eofm.errors import InputError
@@ -45,7 +49,7 @@ def made(tmp_path_factory):
     io.write_image(folder / "before.tif", I1, tuple(SIDES.values()))
     zarr.save_array(folder / "after.zarr", I2)
     known = eofm.Known(pixel_size=tuple(SIDES.values()))
-    whole = eofm.estimate_displacement(I1, I2, known=known).u
+    whole = eofm.estimate_displacement(I1, I2, known=known)
     pair = Pair(reference=folder / "before.tif", deformed=folder / "after.zarr")
     work = folder / "work"
     work.mkdir()
@@ -56,12 +60,12 @@ def made(tmp_path_factory):
     results = folder / "results"
     results.mkdir()
     trust = write_gathered(work, results)
-    return folder, u, whole, trust
+    return folder, u, whole.u, trust, whole.deviation(16)
 
 
 @pytest.mark.slow
 def test_tiles_give_what_the_whole_gives(made):
-    folder, u, whole, trust = made
+    folder, u, whole, trust, _ = made
     found = io.read_field(folder / "results/displacement.tif")
     assert np.sqrt(((found - whole) ** 2).mean()) < 0.002
     assert np.sqrt(((found - u) ** 2).mean()) < 0.03
@@ -70,7 +74,7 @@ def test_tiles_give_what_the_whole_gives(made):
 
 @pytest.mark.slow
 def test_no_seam_stands_out_in_the_strain(made):
-    folder, u, whole, _ = made
+    folder, u, whole, *_ = made
     sides = tuple(SIDES.values())
     window = 3 * np.prod(sides) ** (1 / 3)
     e = np.moveaxis(read_array(folder / "results/strain.tif").values, 1, 0)
@@ -87,6 +91,40 @@ def test_no_seam_stands_out_in_the_strain(made):
     seams, elsewhere = near & inner, ~near & inner
     assert np.sqrt(ours[seams].mean()) < 1.1 * np.sqrt(ours[elsewhere].mean())
     assert np.sqrt(ours[seams].mean()) < 1.02 * np.sqrt(theirs[seams].mean())
+
+
+@pytest.mark.slow
+def test_error_bars_are_those_of_the_whole(made):
+    folder, *_, expected = made
+    found = io.read_field(folder / "results/deviation.tif")
+    # 16 draws tell a standard deviation to a sixth of itself, means over many voxels better.
+    ratio = np.sqrt((found**2).mean(axis=(1, 2, 3)) / (expected**2).mean(axis=(1, 2, 3)))
+    np.testing.assert_allclose(ratio, 1, atol=0.1)
+    assert np.median(np.abs(np.log(found / expected))) < 0.25
+    summary = json.loads((folder / "results/summary.json").read_text())
+    assert summary["deviation_median_px"] == pytest.approx(np.median(found, (1, 2, 3)), rel=0.05)
+
+
+@pytest.mark.slow
+def test_paraview_gets_all_fields_of_tiles(made):
+    folder, *_ = made
+    results = folder / "results"
+    head = (results / "results.vti").read_bytes().partition(b"<AppendedData")[0].decode()
+    u = io.read_field(results / "displacement_um.tif")
+    e = np.moveaxis(read_array(results / "strain.tif").values, 1, 0)
+    expected = {"displacement [um]": u, "strain": e}
+    expected |= invariants(e, "small") | {"match of the images": None, "first frame": None}
+    bars = io.read_field(results / "deviation.tif")
+    expected["standard deviation [um]"] = bars * np.reshape((5.0, 4.0, 5.0), (3, 1, 1, 1))
+    found = re.findall(r'Name="([^"]*)" NumberOfComponents="(\d)".* offset="(\d+)"', head)
+    assert {name for name, *_ in found} == set(expected)
+    values = (results / "results.vti").read_bytes()[len(head) :].partition(b"_")[2]
+    for name, count, offset in found:
+        size = 4 * int(count) * math.prod(SHAPE)
+        part = np.frombuffer(values, "<f4", size // 4, int(offset) + 8)
+        if expected[name] is not None:
+            part = np.moveaxis(part.reshape(*SHAPE, int(count)), -1, 0)
+            np.testing.assert_allclose(part, expected[name].reshape(part.shape), atol=1e-5)
 
 
 @pytest.mark.slow

@@ -168,6 +168,15 @@ def test_one_bubble_weighs_beta():
     assert not term.A[1].any()
 
 
+def test_a_slice_through_bubbles_has_the_term_of_an_image_of_them():
+    x, motion = np.array([[8.2, 13.0], [9.7, 12.1]]), np.array([[2.0, 0.5], [-1.0, 0.3]])
+    image = speckle_term(Grid((20, 22)), x, motion, 0.5, 4.0)
+    at = np.concatenate([x, np.full((1, 2), 6.0)])
+    volume = speckle_term(Grid((14, 20, 22)), at, np.concatenate([motion, motion[:1]]), 0.5, 4.0)
+    np.testing.assert_allclose(volume.A[0][6], image.A[0], rtol=1e-5)
+    np.testing.assert_allclose(volume.b[:2, 6], image.b, rtol=1e-5, atol=1e-8)
+
+
 @pytest.mark.parametrize("smoothness", ["gradient", "bending"])
 @pytest.mark.parametrize("shape", [(12, 17), (6, 9, 8)])
 def test_shifting_moves_the_minimiser(shape, smoothness, rng):

@@ -79,6 +79,16 @@ def test_motion_that_varies_within_some_speckles_is_found(wavelength):
     assert found.trust.verdict == "good"
 
 
+@pytest.mark.parametrize("shape", [(14, 24, 28), (96, 128)])
+def test_motion_is_not_made_affine_where_all_large_weights_are_as_good(shape):
+    """The search begins where the misfit does not depend on the weight."""
+    *_, x2, x1 = np.mgrid[tuple(slice(n) for n in shape)]
+    waves = 0.3 * np.sin(x2 / 5), 0.3 * np.cos(x1 / 6), 0.3 * np.sin(x2 / 7)
+    u = np.stack(waves[: len(shape)])
+    found = estimate_displacement(*speckle(u, count=u[0].size // 15, noise=0.02, seed=1))
+    assert relative(found.u, u) < 0.2
+
+
 def test_a_larger_weight_of_coarser_scales_counts_as_far_as_the_misfit_allows():
     u = smooth_field()
     I1, I2 = speckle(u, count=1500, noise=0.1)

@@ -11,9 +11,9 @@ from eofm.flow.tiles import counts_at, cut, shape_of, tiled_scales
 from eofm.settings import Estimation, Tiling
 
 Row = dict[str, str]
-# Memory of a process with no volume, MB; bytes for each voxel of a tile with its overlap; voxels
-# that are solved in a second by one core of a slow machine.
-BASE_MB, BYTES, SPEED = 450, 220, 10_000
+# Memory of a process with no volume, MB; bytes for each voxel of a tile with its overlap, most of
+# them for error bars; voxels that are solved in a second by one core of a slow machine.
+BASE_MB, BYTES, SPEED = 450, 600, 5_000
 
 
 def tiled(samples: dict[str, Row]) -> dict[str, Row]:
