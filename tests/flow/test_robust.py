@@ -251,3 +251,11 @@ def test_draws_do_not_grow_where_data_determine_the_field():
     found = eofm.estimate_displacement(*speckle(motion()), eofm.Estimation(alpha=1e-4))
     sizes = [np.sqrt(np.mean(error**2)) for error in found.samples(12)]
     assert max(sizes[6:]) < 3 * max(sizes[:6])
+
+
+def test_motion_of_a_short_wavelength_is_found():
+    shape = (160, 160)
+    x2, x1 = np.mgrid[:160, :160] * (2 * np.pi / 45)
+    u = motion(shape) + 1.2 * np.stack([np.sin(x1) * np.cos(x2), np.cos(x1) * np.sin(x2)])
+    x = np.mgrid[:160, :160][::-1].astype(float)
+    assert error(waves(x + u), waves(x), u) < 0.2
