@@ -12,10 +12,11 @@ from tqdm import tqdm
 from eofm.flow.functional import Quadratic
 from eofm.flow.known import Known
 from eofm.flow.matching import ImagePair, Match
-from eofm.flow.problem import COARSE, FINEST, Problem, sampled_pairs
-from eofm.flow.start import correlation, match_blocks
+from eofm.flow.problem import COARSE, FINEST, Problem, resized, sampled_pairs
+from eofm.flow.start import correlation, match_blocks, unlike
 from eofm.flow.trust import Trust, judge
 from eofm.flow.uncertainty import Errors
+from eofm.flow.weight import around
 from eofm.grid import Array, Edge, Grid, componentwise, unit_spacing
 from eofm.imaging.gaussian import blur
 from eofm.imaging.intensity import normalise_locally
@@ -26,6 +27,8 @@ from eofm.settings import Estimation
 SIDE = {2: 160, 3: 48}
 # Width of the average of variances of draws, px.
 VARIANCE = 4.0
+# How often what the images do not share is looked for, and how far from dead pixels, samples.
+TURNS, BESIDE = 3, 6
 
 
 @dataclass(frozen=True)
@@ -210,6 +213,8 @@ def estimate_displacement(
         u, alpha, F, chosen, factor = level.improve(chosen, progress)
         if settings.robust and number == compared:
             u = best_start(problem, number, pairs, u)
+            # Volumes are read in tiles, which know nothing of each other.
+            u = leave_out(problem, number, pairs, u) if I1.ndim == 2 else u
     spacing = unit_spacing(known.sides(I1.ndim))
     u = problem.carried(u, I1.shape) / componentwise(spacing, I1.ndim)
     edges = tuple(problem.v_edges)
@@ -235,3 +240,23 @@ def best_start(problem: Problem, number: int, pairs: Sequence[ImagePair], u: Arr
         return u
     other = problem.level(number, pair, matched).improve((), False).u
     return max(u, other, key=lambda v: correlation(pair.I1, pair.I2, v, pair.grid))
+
+
+def leave_out(problem: Problem, number: int, pairs: list[ImagePair], u: Array) -> Array:
+    """Mark what the images do not share as dead on this grid and on finer ones; the field without.
+
+    The field that it has pulled hides a part of it, so it is looked for again. Near pixels that
+    are dead, coarse images are not what they seem.
+    """
+    whole = ~around(~(pairs[number].live & pairs[number].live_after), BESIDE)
+    for _ in range(TURNS):
+        pair = pairs[number]
+        found = unlike(pair.I1, pair.I2, u, pair.grid, pair.live & whole)
+        if found is None:
+            break
+        for finer in range(number, len(pairs)):
+            live = pairs[finer].live & ~resized(found, pairs[finer].grid.shape)
+            pairs[finer] = replace(pairs[finer], live=live)
+        u = problem.level(number, pairs[number], u).improve((), False).u
+        u = best_start(problem, number, pairs, u)
+    return u

@@ -250,7 +250,7 @@ def sampled_pairs(
         fine = number >= len(grids) - FINEST
         if settings.robust and not fine:
             J1, J2 = (normalise_locally(J, (COARSE,) * J.ndim) for J in (J1, J2))
-        live, live_after = (~_resized(m, grid.shape) for m in (before, after))
+        live, live_after = (~resized(m, grid.shape) for m in (before, after))
         pairs.append(image_pair(grid, (J1, J2), (live, live_after), settings, fine))
     return pairs
 
@@ -288,7 +288,7 @@ def nothing(shape: tuple[int, ...]) -> Array:
     return np.broadcast_to(np.zeros((), precision(len(shape))), (len(shape), *shape))
 
 
-def _resized(mask: Mask, shape: tuple[int, ...]) -> Mask:
+def resized(mask: Mask, shape: tuple[int, ...]) -> Mask:
     """A mask on another grid."""
     if not mask.any():
         return np.zeros(shape, dtype=bool)

@@ -13,6 +13,7 @@ from scipy import fft
 from eofm.flow.functional import Quadratic, isotropic
 from eofm.flow.multigrid import multigrid
 from eofm.grid import Array, Grid, Mask
+from eofm.imaging.gaussian import blur
 from eofm.imaging.intensity import Window
 from eofm.imaging.splines import Spline
 
@@ -27,6 +28,12 @@ LEAST, FEWEST = 0.25, 6
 # How far a motion may differ from the median of its neighbours, in median deviations, to which is
 # added what matching is accurate to, samples; and the largest such deviation.
 TIMES, ACCURACY, LARGEST = 3.0, 0.5, 4.0
+# Width over which parts of images are compared, samples, the least variance of one as a part of
+# the mean, and the largest part of an image that may be unlike the other one.
+PATCH, FLAT, DETAIL, MOST = 3.0, 0.01, 2.0, 0.25
+# How much less than 1 their correlation is where they are likely, and certain, to show different
+# things: at least, and as a multiple of the median.
+UNLIKE, UNUSUAL = (0.2, 0.4), (4.0, 8.0)
 TINY = 1e-12
 
 
@@ -88,12 +95,40 @@ def consistent(u: Array, found: Mask) -> Mask:
 
 def correlation(I1: Array, I2: Array, u: Array, grid: Grid) -> float:
     """Mean of the local correlation of two images after a displacement; 0 where it leaves them."""
+    local, seen = _correlation(I1, I2, u, grid, WIDTH)
+    return float((local * seen).mean())
+
+
+def unlike(I1: Array, I2: Array, u: Array, grid: Grid, live: Mask) -> Mask | None:
+    """Where images do not correlate after a displacement, though nearly all of them does.
+
+    Something lies on one of the two, or is gone: its outlines would pull the field to wherever
+    they find a place. Around where that is certain, all is left out where it is likely, and what
+    is enclosed. Shadows have no sharp outlines: only fine structures are compared. None if there
+    is no such part, or it is so large that it may be the motion that was not found.
+    """
+    from scipy import ndimage
+
+    I1, I2 = (I - blur(I, (DETAIL,) * I.ndim) for I in (I1, I2))
+    local, seen = _correlation(I1, I2, u, grid, PATCH)
+    seen &= live
+    miss = 1 - local
+    usual = np.median(miss[seen]) if seen.any() else np.inf
+    label, _ = ndimage.label(seen & (miss > max(UNLIKE[0], UNUSUAL[0] * usual)))
+    sure = np.unique(label[miss > max(UNLIKE[1], UNUSUAL[1] * usual)])
+    found = ndimage.binary_fill_holes(np.isin(label, sure[sure > 0]))
+    return found if 0 < np.count_nonzero(found) <= MOST * found.size else None
+
+
+def _correlation(I1: Array, I2: Array, u: Array, grid: Grid, width: float) -> tuple[Array, Mask]:
+    """Local correlation of two images after a displacement, and where it stays within them."""
     warped, seen = Spline(I2).warp(grid.samples(u))
-    around = Window(seen, WIDTH)
+    around = Window(seen, width)
     m1, m2 = around.mean(I1), around.mean(warped)
     v1, v2 = around.mean(I1**2) - m1**2, around.mean(warped**2) - m2**2
-    both = np.sqrt(np.maximum(v1, TINY) * np.maximum(v2, TINY))
-    return float(((around.mean(I1 * warped) - m1 * m2) / both * seen).mean())
+    # What is black, or flat, is like nothing.
+    v1, v2 = (np.maximum(v, FLAT * np.mean(v, where=seen) + TINY) for v in (v1, v2))
+    return (around.mean(I1 * warped) - m1 * m2) / np.sqrt(v1 * v2), seen
 
 
 class _Search:

@@ -24,11 +24,12 @@ from eofm.flow.problem import COARSE, FINEST, ROUGH, Level, Problem, image_pair,
 from eofm.flow.trust import Trust, judge
 from eofm.flow.weight import (
     RIDGE,
+    Blocks,
     Trial,
+    best_weight,
     enough,
     first_alpha,
     folds,
-    least_misfit,
 )
 from eofm.grid import Array, Edge, Grid, Mask, faces
 from eofm.imaging.greys import grown
@@ -310,12 +311,15 @@ def choose(
     decides = number >= len(scale.problem.grids) - 2 and enough(scale.grid.shape, finest)
     if settings.alpha is None and decides:
         held = folds(scale.grid.shape, len(tiles))
-        trials = [
-            Trial(*part, fold, RIDGE * strength, np.ones_like(part[0].r))
-            for part in parts
-            for fold in held
-        ]
-        choice = least_misfit(trials, alpha, chosen)
+
+        def trials(blocks: Blocks) -> list[Trial]:
+            return [
+                Trial(*part, fold, RIDGE * strength, np.ones_like(part[0].r), blocks)
+                for part in parts
+                for fold in held
+            ]
+
+        choice, _ = best_weight(trials, alpha, chosen)
         alpha, chosen = choice.alpha, (*chosen, choice.best)
     reach = (alpha / (strength + np.finfo(float).tiny)) ** 0.25
     return Choice(first, alpha, chosen, float(reach) / scale.grid.side, overall)

@@ -7,8 +7,8 @@ for dense speckle, where they are noise.
 """
 
 import math
-from collections.abc import Sequence
-from functools import cache
+from collections.abc import Callable, Sequence
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -42,6 +42,11 @@ BLOCKS, FEWEST, MANY = 20, 8, 256
 # Pixels around a held-out block that are not used either: the noise of images that were
 # filtered is correlated, and would be fitted on both sides of the border.
 MARGIN = 2
+# Sides of blocks, and margins: those, and some that are short for a wavelength of 20 samples, which
+# could not be told from what lies around larger ones; and how much less the weight is that those
+# find where motion was lost.
+Blocks = tuple[int, int]
+USUAL, SMALL, FOUND = (BLOCK, MARGIN), (4, 1), STEP**4
 # Side of the windows that stand for a large image, or a volume, and for one larger than what, px;
 # and how many there are.
 WINDOW, WINDOWS = {2: (120, 384), 3: (48, 96)}, 5
@@ -90,9 +95,10 @@ def choose_alpha(
 
     Motion that varies within a few structures of the image has two minima: large weights
     smooth it away, those between follow some of it wrongly, and small ones find it. So
-    the first scale to choose looks for another one far below, where much is left unexplained, and
-    any scale where the motion is as stiff as a weight can make it: an affine one, whose misfit
-    is the same for all large weights.
+    the first scale to choose looks for another one far below, where much is left unexplained,
+    by smaller blocks: it does not follow from what is around larger ones. Any scale does, where
+    the motion is as stiff as a weight can make it: an affine one, whose misfit is the same
+    for all large weights.
 
     Parameters
     ----------
@@ -113,7 +119,7 @@ def choose_alpha(
     """
     windows = _windows(match)
 
-    def trials(ease: Array | float) -> list[Trial]:
+    def trials(ease: Array | float, blocks: Blocks) -> list[Trial]:
         eased = match if isinstance(ease, float) else match.eased(ease)
         ridge = RIDGE * eased.strength
         shares = np.broadcast_to(ease, match.grid.shape)
@@ -126,15 +132,16 @@ def choose_alpha(
                 fold,
                 ridge,
                 counts / shares[w],
+                blocks,
             )
             for w, counts in windows
             for fold in folds(match.grid.shape, len(windows))
         ]
 
-    even = least_misfit(trials(1.0), start, before)
+    even, blocks = best_weight(partial(trials, 1.0), start, before)
     if ease is None:
         return even
-    uneven = trials(ease)
+    uneven = trials(ease, blocks)
     if sum(t.misfit(even.best) for t in uneven) > GAIN * even.misfit:
         return even
     return least_misfit(uneven, even.best, before or (even.best,))._replace(eased=True)
@@ -149,8 +156,30 @@ class Choice(NamedTuple):
     eased: bool = False
 
 
-def least_misfit(trials: "Sequence[Trial]", start: float, before: Sequence[float] = ()) -> Choice:
-    """The weight with the least sum of the misfits of some trials, and that to use."""
+def best_weight(
+    trials: "Callable[[Blocks], Sequence[Trial]]", start: float, before: Sequence[float]
+) -> tuple[Choice, Blocks]:
+    """The weight with the least misfit on blocks of some size, small ones where motion is lost."""
+    usual = trials(USUAL)
+    choice, side = least_misfit(usual, start, before), usual[0].match.grid.side
+    squares = sum(float((t.counts * (t.match.g**2).sum(0)).sum()) for t in usual)
+    if not before and choice.misfit > (LOST * side) ** 2 * squares:
+        small = least_misfit(trials(SMALL), choice.best, lost=True)
+        if small.best < choice.best / FOUND:
+            return small, SMALL
+    return choice, USUAL
+
+
+def least_misfit(
+    trials: "Sequence[Trial]",
+    start: float,
+    before: Sequence[float] = (),
+    lost: bool = False,
+) -> Choice:
+    """The weight with the least sum of the misfits of some trials, and that to use.
+
+    Of a motion that is ``lost``, another minimum is looked for far below the first one.
+    """
 
     @cache
     def misfit(k: int) -> float:
@@ -165,8 +194,6 @@ def least_misfit(trials: "Sequence[Trial]", start: float, before: Sequence[float
         return k
 
     k = downhill(0)
-    squares = sum(float((t.counts * (t.match.g**2).sum(0)).sum()) for t in trials)
-    lost = not before and misfit(k) > (LOST * trials[0].match.grid.side) ** 2 * squares
     high, low = max(k, 0), min(k, 0)
     stiff = all(misfit(high + far) < (1 + STIFF) * misfit(high) for far in UP)
     if lost or stiff:
@@ -196,11 +223,13 @@ class Trial:
         fold: int,
         ridge: float,
         counts: Array,
+        blocks: Blocks,
     ) -> None:
         self.match, self.about, self.free = match, about, free
-        out = held_out(match.grid.shape, fold)
+        (side, margin), shape = blocks, match.grid.shape
+        out = held_out(shape, fold, side)
         self.counts = counts * (out & match.used)
-        terms = match.density(about, ~around(out, MARGIN))
+        terms = match.density(about, ~around(out, margin))
         self.terms = Pointwise(terms.A + ridge * unit(terms.b), terms.b)
         self.prescribed, self.v = prescribed, np.zeros_like(about)
 

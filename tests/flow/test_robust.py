@@ -5,7 +5,7 @@ import pytest
 
 import eofm
 import eofm.grid
-from eofm.flow.start import consistent, match_blocks
+from eofm.flow.start import consistent, match_blocks, unlike
 from eofm.grid import Grid
 from eofm.imaging.intensity import Levels, Window, defects, normalise_locally
 
@@ -119,6 +119,48 @@ def test_blocks_are_found_where_they_moved():
     assert np.abs(found / np.reshape([2.0, 0.5], (2, 1, 1)) - u)[inner].max() < 1.0
 
 
+def waves(x, seed=5):
+    """An image of large structures at any points."""
+    rng = np.random.default_rng(seed)
+    length = 5 * 2 ** rng.uniform(0, 3, 60)
+    turn, phase = rng.uniform(0, 2 * np.pi, (2, 60))
+    k = 2 * np.pi / length * np.stack([np.cos(turn), np.sin(turn)])
+    parts = np.cos(np.tensordot(k, x, (0, 0)) + phase[:, None, None])
+    return np.tensordot(length / length.sum(), parts, 1)
+
+
+def test_what_appears_pulls_nothing():
+    u = motion((128, 128), 4.0)
+    x = np.mgrid[:128, :128][::-1].astype(float)
+    I1, I2 = waves(x + u), waves(x)
+    patch = np.s_[40:70, 30:70]
+    I2[patch] = I2.min()
+    found = eofm.estimate_displacement(I1, I2)
+    live = found.pair.live
+    assert not live[48:68, 38:66].any()
+    assert live.mean() > 0.7
+    assert np.hypot(*(found.u - u)).mean() < 0.15
+    assert error(I1, I2, u, robust=False) > 0.5
+
+
+def test_what_images_do_not_share(rng):
+    """Is told where it is the exception, and not where most of them differs."""
+    I1 = speckle(motion())[0]
+    grid, still, live = Grid(SHAPE), np.zeros((2, *SHAPE)), np.ones(SHAPE, dtype=bool)
+    I2 = 0.5 * I1 + 0.1
+    assert unlike(I1, I2, still, grid, live) is None
+    I2[40:64, 50:80] = rng.permutation(I2[40:64, 50:80].ravel()).reshape(24, 30)
+    found = unlike(I1, I2, still, grid, live)
+    assert found[44:60, 54:76].all()
+    found[30:74, 40:90] = False
+    assert not found.any()
+    live[24:80, 34:96] = False
+    assert unlike(I1, I2, still, grid, live) is None
+    live[:] = True
+    I2[:, :80] = rng.random((SHAPE[0], 80))
+    assert unlike(I1, I2, still, grid, live) is None
+
+
 def test_blocks_of_unrelated_images_say_nothing():
     one, other = (speckle(motion((96, 96)), seed)[0] for seed in (1, 2))
     assert match_blocks(one - one.mean(), other - other.mean(), Grid((96, 96))) is None
@@ -209,3 +251,11 @@ def test_draws_do_not_grow_where_data_determine_the_field():
     found = eofm.estimate_displacement(*speckle(motion()), eofm.Estimation(alpha=1e-4))
     sizes = [np.sqrt(np.mean(error**2)) for error in found.samples(12)]
     assert max(sizes[6:]) < 3 * max(sizes[:6])
+
+
+def test_motion_of_a_short_wavelength_is_found():
+    shape = (160, 160)
+    x2, x1 = np.mgrid[:160, :160] * (2 * np.pi / 45)
+    u = motion(shape) + 1.2 * np.stack([np.sin(x1) * np.cos(x2), np.cos(x1) * np.sin(x2)])
+    x = np.mgrid[:160, :160][::-1].astype(float)
+    assert error(waves(x + u), waves(x), u) < 0.2

@@ -95,6 +95,27 @@ rule numbers_studies:
         "../scripts/numbers_studies.py"
 
 
+# No part of `numbers`: the pairs take more than an hour on two cores.
+rule numbers_robustness:
+    input:
+        table=f"{ROBUSTNESS}/errors.csv",
+        code=code("numbers_robustness.py"),
+    output:
+        f"{QUOTED}/robustness.json",
+    log:
+        "logs/numbers/robustness.log",
+    benchmark:
+        "benchmarks/numbers/robustness.tsv"
+    conda:
+        "../envs/eofm.yaml"
+    resources:
+        mem_mb=300,
+    params:
+        command="snakemake --cores 2 docs/figures/robustness.json",
+    script:
+        "../scripts/numbers_robustness.py"
+
+
 # No part of `numbers`: the volumes take half an hour on two cores.
 rule numbers_volume:
     input:

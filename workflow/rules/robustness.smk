@@ -2,7 +2,9 @@
 
 ROBUSTNESS = "results/robustness"
 FRAMES = [f"frame{k + 1}" for k in range(len(settings.robustness.frames))]
-SCENES = ["dense", "sparse", "brightest", "coherent", "large", *FRAMES]
+BUBBLES = ["dense", "sparse", "brightest", "coherent", "large"]
+TEXTURES = ["octaves", "discs", "log_layers", "photo", "ground"]
+SCENES = [*BUBBLES, *TEXTURES, *FRAMES]
 HALVES = ["tuned", "held"]
 
 

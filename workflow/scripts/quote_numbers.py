@@ -103,13 +103,32 @@ def benchmark() -> list[list[str]]:
     ]
 
 
+def robustness() -> list[list[str]]:
+    """Median errors of the preset and of the best other tool, by condition."""
+    rows = value("robustness", "conditions")
+    lines = [["condition", "preset, px", "best other tool, px", "preset / best, median", "worst"]]
+    for name, row in rows.items():
+        numbers = [row.get(key) for key in ("preset", "best", "ratio", "worst_ratio")]
+        cells = ["" if number is None else f"{number:.2g}" for number in numbers]
+        lines.append([name.replace("_", " "), *cells])
+    return lines
+
+
+TABLES = {
+    "paper": table1,
+    "ensemble": ensemble,
+    "benchmark": benchmark,
+    "robustness": robustness,
+}
+
+
 def filled(text: str) -> str:
     """A text with its numbers and tables as the files have them."""
 
     def fill(match: re.Match[str]) -> str:
         start, name, key, form, _, end = match.groups()
         if name == "rows":
-            head, *body = {"paper": table1, "ensemble": ensemble, "benchmark": benchmark}[key]()
+            head, *body = TABLES[key]()
             lines = [head, ["---"] * len(head), *body]
             rows = [f"| {' | '.join(line)} |" for line in lines]
             return "\n".join([start, *rows, end])

@@ -4,13 +4,17 @@ Other tools get locally normalised images, without which none of them survives t
 """
 
 from contextlib import redirect_stdout
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import peers
 import scenes
+from conditions import CONDITIONS, under
 from numpy.typing import NDArray
+from skimage import data
+from textures import PHOTOS
 
 import eofm
 from eofm import io
@@ -26,25 +30,26 @@ PRESETS = {
     "preset_local": eofm.Estimation(robust=False, local_window=8.0),
 }
 WINDOW = 20.0
-# Of bubbles per px in pairs of large motion.
-DENSITY = 0.03
 
 
 def pairs(settings: Robustness, name: str, half: str, frame: str | None) -> dict[str, scenes.Scene]:
-    """All conditions of a pair, from the one that changes nothing."""
-    seed = settings.seed + (half == "held")
-    shape = settings.size, settings.size
+    """All conditions and motions of a scene, from the one that changes nothing."""
+    held = half == "held"
+    seed, shape = settings.seed + held, (settings.size, settings.size)
+    render = scenes.RENDERERS.get(name, scenes.scattered)
+    if frame is not None or name in PHOTOS:
+        image = io.read_image(Path(frame)) if frame else getattr(data, PHOTOS[name][held])()
+        shape = tuple(min(n, settings.size) for n in image.shape)
+        render = partial(scenes.frame, image)
+    u = scenes.smooth_motion(shape, settings.motion, seed)
+    clean = render(u, seed)
     if name == "large":
-        motions = {"none": scenes.smooth_motion(shape, settings.motion, seed)}
-        motions |= scenes.large_motions(shape)
-        return {k: scenes.rigid(shape, u, DENSITY, seed) for k, u in motions.items()}
-    if frame is None:
-        clean = scenes.RENDERERS[name](shape, settings.motion, seed)
-    else:
-        image = io.read_image(Path(frame))
-        smaller = min(shape[0], image.shape[0]), min(shape[1], image.shape[1])
-        clean = scenes.frame(image, smaller, settings.motion, seed)
-    return {condition: scenes.under(clean, condition, seed) for condition in scenes.CONDITIONS}
+        return {"none": clean} | {
+            motion: render(u, seed) for motion, u in scenes.large_motions(shape).items()
+        }
+    return {condition: under(clean, condition, seed) for condition in CONDITIONS} | {
+        name: render(u + motion(shape), seed) for name, motion in scenes.MOTIONS.items()
+    }
 
 
 def measure(scene: scenes.Scene, tool: str) -> dict[str, float | str]:

@@ -1,8 +1,8 @@
-"""Image pairs of known motion, and what happens to the second image of a pair in a lab.
+"""Image pairs of known motion.
 
-A scene is a renderer and a seed: the renderer makes both images of a random smooth motion, and
-a condition changes them. Nothing is interpolated from an image that an estimate sees, but for
-real frames, of which there is one each.
+A scene is a way to make images, a motion and a seed. Bubbles move and are rendered again; textures
+and photographs are the image after, and that before is what they are where it moved to. Nothing
+is interpolated from an image that an estimate sees, but for photographs and real frames.
 """
 
 from collections.abc import Callable
@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from textures import TEXTURES, Texture
 
 from eofm.grid import inside
 from eofm.imaging.gaussian import gaussians
@@ -28,6 +29,9 @@ class Scene(NamedTuple):
     counted: NDArray[np.bool_]
 
 
+Renderer = Callable[[Array, int], Scene]
+
+
 def smooth_motion(shape: tuple[int, int], size: float, seed: int) -> Array:
     """A compression that bulges, and four waves, shape (2, height, width), px."""
     rng = np.random.default_rng([seed, 0])
@@ -42,40 +46,62 @@ def smooth_motion(shape: tuple[int, int], size: float, seed: int) -> Array:
     return u
 
 
-def frame(image: Array, shape: tuple[int, int], size: float, seed: int) -> Scene:
+def fast(shape: tuple[int, int]) -> Array:
+    """Waves of 45 px, 1.2 px high."""
+    x2, x1 = np.mgrid[: shape[0], : shape[1]] * (2 * np.pi / 45)
+    return 1.2 * np.stack([np.sin(x1 + 1) * np.cos(x2), np.cos(x1) * np.sin(x2 + 2)])
+
+
+def shear_band(shape: tuple[int, int]) -> Array:
+    """The sample slides by 3 px across a band of 10 px (85 % of it), aslant."""
+    x2, x1 = np.mgrid[: shape[0], : shape[1]]
+    along = np.array([np.cos(0.3), np.sin(0.3)])
+    across = -along[1] * (x1 - shape[1] / 2) + along[0] * (x2 - shape[0] / 2)
+    return 1.5 * np.tanh(across / 4) * along[:, None, None]
+
+
+# What is added to the smooth motion.
+MOTIONS = {"fast": fast, "shear_band": shear_band}
+
+
+def frame(image: Array, u: Array, seed: int) -> Scene:
     """A cut-out of a real frame, which is the image after; that before is sampled from it."""
-    rng = np.random.default_rng([seed, 1])
+    rng, shape = np.random.default_rng([seed, 1]), u.shape[1:]
     corner = [int(rng.integers(0, n - m + 1)) for n, m in zip(image.shape, shape, strict=True)]
     I2 = image[*(slice(c, c + n) for c, n in zip(corner, shape, strict=True))].astype(float)
-    u = smooth_motion(shape, size, seed)
     x = u + np.mgrid[: shape[0], : shape[1]][::-1]
-    counted = inside(shape, x)
     brightness = ndimage.gaussian_filter(I2, 8)
     # The frame goes on beyond the cut-out, and so does the sample.
     I1 = evaluate(image.astype(float), x + np.reshape(corner[::-1], (2, 1, 1)))
     low, high = I2.min(), I2.max()
-    return Scene(
-        (I1 - low) / (high - low),
-        (I2 - low) / (high - low),
-        u,
-        counted & (brightness > np.median(brightness)),
-    )
+    seen = inside(shape, x) & (brightness > np.median(brightness))
+    return Scene((I1 - low) / (high - low), (I2 - low) / (high - low), u, seen)
 
 
-def dense(shape: tuple[int, int], size: float, seed: int) -> Scene:
+def textured(texture: Callable[[np.random.Generator], Texture]) -> Renderer:
+    """Images of a texture."""
+
+    def render(u: Array, seed: int) -> Scene:
+        at = texture(np.random.default_rng([seed, 5]))
+        x = np.mgrid[: u.shape[1], : u.shape[2]][::-1].astype(float)
+        return Scene(at(x + u), at(x), u, inside(u.shape[1:], x + u))
+
+    return render
+
+
+def dense(u: Array, seed: int) -> Scene:
     """Speckle: a sum of many Gaussian bubbles."""
-    return _bubbles(shape, smooth_motion(shape, size, seed), 0.08, seed)
+    return _bubbles(u, 0.08, seed)
 
 
-def sparse(shape: tuple[int, int], size: float, seed: int) -> Scene:
+def sparse(u: Array, seed: int) -> Scene:
     """Bubbles as in the paper, 2 in 100 px."""
-    return _bubbles(shape, smooth_motion(shape, size, seed), 0.02, seed)
+    return _bubbles(u, 0.02, seed)
 
 
-def brightest(shape: tuple[int, int], size: float, seed: int) -> Scene:
+def brightest(u: Array, seed: int) -> Scene:
     """Of bubbles that lie upon each other the brightest is seen."""
-    rng = np.random.default_rng([seed, 2])
-    u = smooth_motion(shape, size, seed)
+    rng, shape = np.random.default_rng([seed, 2]), u.shape[1:]
     x, sigma, height = _draw(shape, 0.03, rng)
     images = []
     for at in (x, x + evaluate_field(u, x)):
@@ -91,10 +117,9 @@ def brightest(shape: tuple[int, int], size: float, seed: int) -> Scene:
     return _scene(*images, u)
 
 
-def coherent(shape: tuple[int, int], size: float, seed: int) -> Scene:
+def coherent(u: Array, seed: int) -> Scene:
     """Speckle of interference, which decorrelates where the sample strains."""
-    rng = np.random.default_rng([seed, 3])
-    u = smooth_motion(shape, size, seed)
+    rng, shape = np.random.default_rng([seed, 3]), u.shape[1:]
     count = int(0.9 * np.prod(shape))
     x = rng.uniform(-8, np.reshape(shape[::-1], (2, 1)) + 7.0, (2, count))
     moved = x + evaluate_field(u, x)
@@ -109,9 +134,9 @@ def coherent(shape: tuple[int, int], size: float, seed: int) -> Scene:
     return _scene(*images, u)
 
 
-def rigid(shape: tuple[int, int], u: Array, density: float, seed: int) -> Scene:
-    """Bubbles that move by any field."""
-    return _bubbles(shape, u, density, seed)
+def scattered(u: Array, seed: int) -> Scene:
+    """Bubbles, 3 in 100 px, for motions that are large."""
+    return _bubbles(u, 0.03, seed)
 
 
 def _draw(
@@ -123,8 +148,8 @@ def _draw(
     return x, rng.uniform(1.2, 1.8, count), rng.uniform(0.3, 1.0, count)
 
 
-def _bubbles(shape: tuple[int, int], u: Array, density: float, seed: int) -> Scene:
-    rng = np.random.default_rng([seed, 2])
+def _bubbles(u: Array, density: float, seed: int) -> Scene:
+    rng, shape = np.random.default_rng([seed, 2]), u.shape[1:]
     # Bubbles that move in come from as far as the motion goes.
     x, sigma, height = _draw(shape, density, rng, 8.0 + np.abs(u).max())
     axes = tuple(np.arange(n, dtype=float) for n in shape[::-1])
@@ -145,108 +170,6 @@ def _scene(I1: Array, I2: Array, u: Array) -> Scene:
     return Scene(I1 / top, I2 / top, u, counted)
 
 
-def _none(I1: Array, I2: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    return I1, I2
-
-
-def _ramp(I1: Array, I2: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    return I1, I2 * np.linspace(1.1, 0.4, len(I2))[:, None]
-
-
-def _shadow(I1: Array, I2: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    (n, m), top, at = I2.shape, rng.uniform(0.1, 0.4), rng.uniform(0.3, 0.7)
-    x2, x1 = np.linspace(0, 1, n)[:, None], np.linspace(0, 1, m)
-    below = 1 / (1 + np.exp(-(x2 - top) * n / 4))
-    return I1, I2 * (1 - 0.6 * below * np.exp(-(((x1 - at) / 0.12) ** 2)))
-
-
-def _gain(I1: Array, I2: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    return I1, 0.7 * I2
-
-
-def _offset(I1: Array, I2: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    return I1, 0.7 * I2 + 0.15
-
-
-def _spots(shape: tuple[int, ...], rng: np.random.Generator, count: int = 12) -> Array:
-    spots = np.zeros(shape)
-    for _ in range(count):
-        i, j = (int(rng.integers(2, n - 4)) for n in shape)
-        spots[i : i + rng.integers(1, 4), j : j + rng.integers(1, 4)] = rng.uniform(3, 6)
-    return spots
-
-
-def _appear(I1: Array, I2: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    return I1, np.maximum(I2, _spots(I2.shape, rng))
-
-
-def _stay(I1: Array, I2: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    spots = _spots(I2.shape, rng)
-    return np.maximum(I1, spots), np.maximum(I2, spots)
-
-
-def _gamma(I1: Array, I2: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    return I1, np.sqrt(np.clip(I2, 0, None))
-
-
-def _decorrelate(strength: float) -> Callable[..., tuple[Array, Array]]:
-    """Speckle of other bubbles, as coarse as the image's, that multiplies it."""
-
-    def change(I1: Array, I2: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-        speckle = ndimage.gaussian_filter(rng.normal(size=I2.shape), 1.3)
-        return I1, I2 * np.clip(1 + strength * speckle / speckle.std(), 0, None)
-
-    return change
-
-
-def _row(I1: Array, I2: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    I1, I2, at = I1.copy(), I2.copy(), int(rng.integers(len(I1) // 4, len(I1) // 2))
-    for I in (I1, I2):
-        I[at : at + 2] = 1.0
-    return I1, I2
-
-
-def _noise(strength: float) -> Callable[..., tuple[Array, Array]]:
-    """White noise, as a part of the images' range (its 99.5th percentile)."""
-
-    def change(I1: Array, I2: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-        top = strength * np.percentile(I1, 99.5)
-        return I1 + top * rng.normal(size=I1.shape), I2 + top * rng.normal(size=I2.shape)
-
-    return change
-
-
-def _everything(I1: Array, I2: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    for change in (_decorrelate(0.2), _ramp, _offset, _appear, _noise(0.03)):
-        I1, I2 = change(I1, I2, rng)
-    return I1, I2
-
-
-CONDITIONS: dict[str, Callable[..., tuple[Array, Array]]] = {
-    "none": _none,
-    "ramp": _ramp,
-    "shadow": _shadow,
-    "gain": _gain,
-    "gain_offset": _offset,
-    "highlights_appear": _appear,
-    "highlights_stay": _stay,
-    "gamma": _gamma,
-    "decorrelated_weak": _decorrelate(0.2),
-    "decorrelated_strong": _decorrelate(0.4),
-    "saturated_row": _row,
-    "noise_5": _noise(0.05),
-    "noise_10": _noise(0.10),
-    "everything": _everything,
-}
-
-
-def under(scene: Scene, condition: str, seed: int) -> Scene:
-    """The scene with its images changed by a condition."""
-    rng = np.random.default_rng([seed, 4])
-    I1, I2 = CONDITIONS[condition](scene.I1, scene.I2, rng)
-    return scene._replace(I1=I1, I2=I2)
-
-
 def large_motions(shape: tuple[int, int]) -> dict[str, Array]:
     """Motions that a start has to find: compressions and shifts of 20 to 80 px in 512, a turn."""
     n = min(shape)
@@ -265,4 +188,10 @@ def large_motions(shape: tuple[int, int]) -> dict[str, Array]:
     return fields
 
 
-RENDERERS = {"dense": dense, "sparse": sparse, "brightest": brightest, "coherent": coherent}
+RENDERERS: dict[str, Renderer] = {
+    "dense": dense,
+    "sparse": sparse,
+    "brightest": brightest,
+    "coherent": coherent,
+    **{name: textured(texture) for name, texture in TEXTURES.items()},
+}
