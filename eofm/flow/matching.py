@@ -293,15 +293,20 @@ def brightness(
     """Gain and offset that give I1 the local mean and contrast of the warped I2; that contrast.
 
     A generalised dynamic image model (Negahdaripour, IEEE Trans. Pattern Anal. Mach. Intell. 20,
-    1998) by moments, which noise in both images does not bias as a regression would be.
+    1998) by moments, which noise in both images does not bias as a regression would be. An average
+    at an edge is that of what lies inside, which a ramp makes wrong, so ramps are taken off first;
+    and the contrast is that about the local mean, not about one mean of a whole window.
     """
     around = Window(used, BRIGHTNESS)
     spreads = overall("spreads", lambda: tuple(float(np.std(I, where=used)) for I in (I1, warped)))
 
     def moments(I: Array, spread: float) -> tuple[Array, Array]:
-        mean, contrast = around.mean(I), around.mean(I, I)
-        contrast -= mean**2
-        np.maximum(contrast, 0, out=contrast)
+        ramp = around.trend(I)
+        rest = I - ramp
+        mean = around.mean(rest)
+        rest -= mean
+        mean += ramp
+        contrast = around.mean(rest, rest)
         contrast += (LEAST_CONTRAST * spread) ** 2 + TINY
         return mean, np.sqrt(contrast, out=contrast)
 

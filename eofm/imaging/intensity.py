@@ -307,7 +307,30 @@ class Window:
         mean /= self.share
         return mean
 
+    def trend(self, f: Array) -> Array:
+        """The linear function of the place that is nearest to f on the mask, of its shape."""
+        count, total = self._squares(np.ones(())), self._squares(f)
+        # Squares' own numbers are their places.
+        functions = [np.ones(()), *np.ogrid[*(slice(n) for n in count.shape)]]
+        G = [[float((count * p * q).sum()) for q in functions] for p in functions]
+        b = [float((total * p).sum()) for p in functions]
+        a, *slopes = np.linalg.lstsq(np.array(G), np.array(b))[0]
+        trend = np.full(f.shape, a, f.dtype)
+        for k, slope in enumerate(slopes):
+            x = (np.arange(f.shape[k]) - (self.side - 1) / 2) / self.side
+            trend += (slope * x).astype(f.dtype).reshape(-1, *[1] * (f.ndim - 1 - k))
+        return trend
+
     def _sum(self, *factors: Array) -> Array:
+        sums, shape = self._squares(*factors), self.mask.shape
+        smooth = np.empty([len(terms.at) for terms in self.nodes], sums.dtype)
+        J = np.empty(shape, sums.dtype)
+        resample(smooth, sums, self.nodes)
+        resample(J, smooth, self.pixels)
+        return J
+
+    def _squares(self, *factors: Array) -> Array:
+        """Sums of products over the mask's pixels in each square, or cube."""
         shape, dtype = self.mask.shape, precision(self.mask.ndim)
         sums = np.empty([-(-n // self.side) for n in shape], dtype)
         # A few rows of squares at a time: products take no room.
@@ -317,10 +340,7 @@ class Window:
             parts = (np.broadcast_to(f, shape)[some] for f in factors)
             product = reduce(np.multiply, parts).astype(dtype, copy=False)
             add_squares(sums[first : first + step], product, self.mask[some], self.side)
-        smooth, J = np.empty([len(terms.at) for terms in self.nodes], dtype), np.empty(shape, dtype)
-        resample(smooth, sums, self.nodes)
-        resample(J, smooth, self.pixels)
-        return J
+        return sums
 
 
 def _nodes(n: int, side: int, width: float) -> Terms:
