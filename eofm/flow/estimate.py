@@ -1,5 +1,6 @@
 """The elastographic optical flow method: all five tests of the paper, and your images."""
 
+import logging
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -13,7 +14,7 @@ from eofm.flow.functional import Quadratic
 from eofm.flow.known import Known
 from eofm.flow.matching import ImagePair, Match
 from eofm.flow.problem import COARSE, FINEST, Problem, resized, sampled_pairs
-from eofm.flow.start import correlation, match_blocks, unlike
+from eofm.flow.start import correlation, details, match_blocks, unlike
 from eofm.flow.trust import Trust, judge
 from eofm.flow.uncertainty import Errors
 from eofm.flow.weight import around
@@ -27,8 +28,14 @@ from eofm.settings import Estimation
 SIDE = {2: 160, 3: 48}
 # Width of the average of variances of draws, px.
 VARIANCE = 4.0
+# Change of brightness, as a part of the contrast, that may be taken for motion. Images are then
+# normalised locally where that leaves fewer of the details unlike: by this factor, and difference.
+SHADED, LESS, CLEARLY = 0.05, 0.98, 1e-3
 # How often what the images do not share is looked for, and how far from dead pixels, samples.
 TURNS, BESIDE = 3, 6
+
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -80,20 +87,23 @@ class Estimate:
     def _sides(self) -> Array:
         return componentwise(self.spacing, len(self.spacing))
 
+    @property
+    def lengths(self) -> Array:
+        """The displacement in true lengths on the grid of ``pair``."""
+        return resize_field(self._sides * self.u, self.pair.grid.shape)
+
     @cached_property
     def match(self) -> Match:
         """The images linearised about ``u``, in true lengths."""
-        u = resize_field(self._sides * self.u, self.pair.grid.shape)
-        return self.pair.linearise_near(u, self.denoising)
+        return self.pair.linearise_near(self.lengths, self.denoising)
 
     @cached_property
     def trust(self) -> Trust:
         """Whether the images, on the last scale, bear the estimate out."""
         # As they are: not even their brightness is fitted.
         pair = replace(self.pair, robust=False)
-        u = resize_field(self._sides * self.u, pair.grid.shape)
-        match = pair.linearise(u)
-        samples = pair.grid.samples(u)
+        match = pair.linearise(self.lengths)
+        samples = pair.grid.samples(self.lengths)
         trust = judge(pair.I1, pair.I1 + match.r, match.used, samples, self.edges)
         return trust.on(self.u.shape[1:])
 
@@ -202,8 +212,33 @@ def estimate_displacement(
     True
     """
     known.check(I1, I2)
+    found, shaded = _coarse_to_fine(I1, I2, settings, known, progress)
+    if not shaded:
+        return found
+    local = settings.changed(local_window=COARSE)
+    other, _ = _coarse_to_fine(I1, I2, local, known, progress)
+    pair = found.pair
+    missed, less = (
+        1 - details(pair.I1, pair.I2, f.lengths, pair.grid, pair.live) for f in (found, other)
+    )
+    if less > LESS * missed or missed - less < CLEARLY:
+        return found
+    log.info("brightness changes within structures of the image: it was normalised locally")
+    return other
+
+
+def _coarse_to_fine(
+    I1: Array, I2: Array, settings: Estimation, known: Known, progress: bool
+) -> tuple[Estimate, bool]:
+    """The estimate, and whether brightness changes so much that it may have taken that for motion.
+
+    What changes within structures is not told from motion by the brightness that is fitted on the
+    finest scales. Of volumes nothing is said: they are read in tiles, which know nothing of
+    each other.
+    """
     problem = Problem.of(I1.shape, settings, known)
     pairs = sampled_pairs(I1, I2, problem.grids, settings, known)
+    decides = settings.robust and settings.local_window is None and I1.ndim == 2
     u = problem.u_bg
     chosen: tuple[float, ...] = ()
     hidden = None if progress else True
@@ -213,12 +248,14 @@ def estimate_displacement(
         u, alpha, F, chosen, factor = level.improve(chosen, progress)
         if settings.robust and number == compared:
             u = best_start(problem, number, pairs, u)
-            # Volumes are read in tiles, which know nothing of each other.
             u = leave_out(problem, number, pairs, u) if I1.ndim == 2 else u
     spacing = unit_spacing(known.sides(I1.ndim))
     u = problem.carried(u, I1.shape) / componentwise(spacing, I1.ndim)
     edges = tuple(problem.v_edges)
-    return Estimate(u, alpha, pair, settings.denoising, F, level.base, factor, spacing, edges)
+    found = Estimate(u, alpha, pair, settings.denoising, F, level.base, factor, spacing, edges)
+    coarser = pairs[max(0, len(pairs) - FINEST)]
+    lengths = resize_field(found.lengths, coarser.grid.shape)
+    return found, decides and coarser.shading(lengths) > SHADED
 
 
 def largest_small(grids: Sequence[Grid]) -> int:

@@ -259,6 +259,20 @@ class ImagePair:
         shared = match.shared(g1, denoising) if self.mean else match.filtered(denoising)
         return shared.weighed(contrast)
 
+    def shading(self, u: Array) -> float:
+        """How much brightness changes after a displacement, but for one gain and one offset.
+
+        Root mean square, as a part of the local contrast.
+        """
+        warped, used = Spline(self.I2, self.straight).warp(self.grid.samples(u))
+        used &= self.live
+        if not used.any():
+            return 0.0
+        gain, offset, contrast = brightness(self.I1, warped, used, self.overall)
+        I, J, c = (f[used][:: int(NOISE)] for f in (self.I1, gain * self.I1 + offset, contrast))
+        rest = J - np.polyval(np.polyfit(I, J, 1), I)
+        return float(np.sqrt((rest**2).mean() / (c**2).mean()))
+
     def _linearise(self, u: Array) -> tuple[Match, Array, Array]:
         """Images linearised about a displacement, the gradient of I1, and local contrast."""
         samples, after = self.grid.samples(u), Spline(self.I2, self.straight)

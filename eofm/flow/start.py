@@ -109,15 +109,25 @@ def unlike(I1: Array, I2: Array, u: Array, grid: Grid, live: Mask) -> Mask | Non
     """
     from scipy import ndimage
 
-    I1, I2 = (I - blur(I, (DETAIL,) * I.ndim) for I in (I1, I2))
-    local, seen = _correlation(I1, I2, u, grid, PATCH)
-    seen &= live
+    local, seen = _details(I1, I2, u, grid, live)
     miss = 1 - local
     usual = np.median(miss[seen]) if seen.any() else np.inf
     label, _ = ndimage.label(seen & (miss > max(UNLIKE[0], UNUSUAL[0] * usual)))
     sure = np.unique(label[miss > max(UNLIKE[1], UNUSUAL[1] * usual)])
     found = ndimage.binary_fill_holes(np.isin(label, sure[sure > 0]))
     return found if 0 < np.count_nonzero(found) <= MOST * found.size else None
+
+
+def details(I1: Array, I2: Array, u: Array, grid: Grid, live: Mask) -> float:
+    """Mean correlation of fine structures after a displacement, whatever the brightness does."""
+    local, seen = _details(I1, I2, u, grid, live)
+    return float(local.mean(where=seen)) if seen.any() else 0.0
+
+
+def _details(I1: Array, I2: Array, u: Array, grid: Grid, live: Mask) -> tuple[Array, Mask]:
+    I1, I2 = (I - blur(I, (DETAIL,) * I.ndim) for I in (I1, I2))
+    local, seen = _correlation(I1, I2, u, grid, PATCH)
+    return local, seen & live
 
 
 def _correlation(I1: Array, I2: Array, u: Array, grid: Grid, width: float) -> tuple[Array, Mask]:

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 import eofm
+import eofm.flow.estimate
 import eofm.grid
+from eofm.flow.matching import Overall, brightness
 from eofm.flow.start import consistent, match_blocks, unlike
 from eofm.grid import Grid
 from eofm.imaging.intensity import Levels, Window, defects, normalise_locally
@@ -119,10 +121,10 @@ def test_blocks_are_found_where_they_moved():
     assert np.abs(found / np.reshape([2.0, 0.5], (2, 1, 1)) - u)[inner].max() < 1.0
 
 
-def waves(x, seed=5):
-    """An image of large structures at any points."""
-    rng = np.random.default_rng(seed)
-    length = 5 * 2 ** rng.uniform(0, 3, 60)
+def waves(x, octaves=3):
+    """An image of large structures, from 5 px on, at any points."""
+    rng = np.random.default_rng(5)
+    length = 5 * 2 ** rng.uniform(0, octaves, 60)
     turn, phase = rng.uniform(0, 2 * np.pi, (2, 60))
     k = 2 * np.pi / length * np.stack([np.cos(turn), np.sin(turn)])
     parts = np.cos(np.tensordot(k, x, (0, 0)) + phase[:, None, None])
@@ -141,6 +143,29 @@ def test_what_appears_pulls_nothing():
     assert live.mean() > 0.7
     assert np.hypot(*(found.u - u)).mean() < 0.15
     assert error(I1, I2, u, robust=False) > 0.5
+
+
+@pytest.mark.parametrize("change", ["ramp", "gamma"])
+def test_brightness_that_changes_within_structures_is_no_motion(change, caplog, monkeypatch):
+    u = motion((128, 128), 4.0)
+    x = np.mgrid[:128, :128][::-1].astype(float)
+    I1, I2 = (I - waves(x, 5).min() + 0.02 for I in (waves(x + u, 5), waves(x, 5)))
+    I2 = ramp(I2) if change == "ramp" else I2**0.5
+    with caplog.at_level("INFO", "eofm"):
+        found = error(I1, I2, u)
+    assert "normalised locally" in caplog.text
+    monkeypatch.setattr(eofm.flow.estimate, "SHADED", np.inf)
+    assert found < 0.5 * error(I1, I2, u)
+
+
+def test_ramps_are_no_contrast():
+    """Local means and contrasts follow a ramp up to the edges."""
+    I = speckle(motion())[0]
+    used = np.ones(SHAPE, dtype=bool)
+    ramp = np.linspace(0, 2, SHAPE[0])[:, None] + np.zeros(SHAPE)
+    gain, offset, _ = brightness(I, 0.7 * I + ramp, used, Overall())
+    assert np.abs(gain / 0.7 - 1).max() < 0.02
+    assert np.abs(offset - ramp).max() < 0.02
 
 
 def test_what_images_do_not_share(rng):
