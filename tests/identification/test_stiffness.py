@@ -104,20 +104,23 @@ def test_edges_that_the_images_contradict_are_refused():
 
 
 def test_a_part_of_a_sample_shows_its_disc():
-    """Nothing is known of its edges, and E is found up to a factor."""
-    I1, I2, u = pair()
+    """Nothing is known of its edges, and E is found up to a factor, or refused: bubbles are few."""
     part = np.s_[6:44, 10:62]
     sample = PLAIN.changed(height=38, width=52)
-    found = identify_stiffness(I1[part], I2[part], sample, known=Known(outside=tuple(faces(2))))
     x2, x1 = np.mgrid[part]
     disc = np.hypot(x1 - DISC.x1, x2 - DISC.x2) < DISC.radius
-    assert not found.refused
-    assert found.fit.problem.model.loose == tuple(faces(2))
-    contrast = np.median(found.E[disc]) / np.median(found.E[~disc])
-    assert 2.5 < contrast < 8
-    alone = estimate_displacement(I1[part], I2[part])
-    errors = [relative_errors(v, u[:, *part])["e_rel"] for v in (found.estimate.u, alone.u)]
-    assert errors[0] < 1.1 * errors[1]
+    kept = 0
+    for seed in (1, 3, 5):
+        I1, I2, u = pair(seed=seed)
+        found = identify_stiffness(I1[part], I2[part], sample, known=Known(outside=tuple(faces(2))))
+        assert found.fit.problem.model.loose == tuple(faces(2))
+        alone = estimate_displacement(I1[part], I2[part])
+        errors = [relative_errors(v, u[:, *part])["e_rel"] for v in (found.estimate.u, alone.u)]
+        assert errors[0] < 1.1 * errors[1]
+        if not found.refused:
+            kept += 1
+            assert 2.5 < np.median(found.E[disc]) / np.median(found.E[~disc]) < 8
+    assert kept >= 2
 
 
 def test_where_nothing_is_known_of_edges_their_motion_is_sought():
