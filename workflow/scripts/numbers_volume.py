@@ -12,6 +12,7 @@ values: dict[str, dict] = {
     for images, rows in errors.groupby("images")
 }
 for (case, size), rows in table.groupby(["case", "size"], sort=False):
-    rows = rows.drop(columns=["case", "size"]).set_index("tool")
+    rows = rows.drop(columns=["case", "size"]).set_index(rows.tool.str.replace(" ", "_"))
+    rows = rows.drop(columns="tool")
     values[f"{case}_{size}"] = {tool: row.dropna().to_dict() for tool, row in rows.iterrows()}
 record(Path(snakemake.output[0]), snakemake.params.command, values)
