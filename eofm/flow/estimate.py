@@ -223,7 +223,7 @@ def estimate_displacement(
     )
     if less > LESS * missed or missed - less < CLEARLY:
         return found
-    log.info("brightness changes within structures of the image: it was normalised locally")
+    log.debug("brightness changes within structures of the image: it was normalised locally")
     return other
 
 

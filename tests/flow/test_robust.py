@@ -151,7 +151,7 @@ def test_brightness_that_changes_within_structures_is_no_motion(change, caplog, 
     x = np.mgrid[:128, :128][::-1].astype(float)
     I1, I2 = (I - waves(x, 5).min() + 0.02 for I in (waves(x + u, 5), waves(x, 5)))
     I2 = ramp(I2) if change == "ramp" else I2**0.5
-    with caplog.at_level("INFO", "eofm"):
+    with caplog.at_level("DEBUG", "eofm"):
         found = error(I1, I2, u)
     assert "normalised locally" in caplog.text
     monkeypatch.setattr(eofm.flow.estimate, "SHADED", np.inf)
