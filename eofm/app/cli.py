@@ -11,14 +11,17 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, NoReturn
 
 from eofm import io
+from eofm.app import steps, tiles
 from eofm.app.options import Files, Step, add_files, add_options, arguments_of
-from eofm.app.steps import STEPS
 from eofm.errors import InputError
 from eofm.settings import Section
 from eofm.threads import use_threads
 
 if TYPE_CHECKING:
     from eofm.flow.trust import Trust
+
+# Neither module imports the other, so that a rule of one depends on what that one imports.
+STEPS: tuple[Step, ...] = (*steps.STEPS, *tiles.STEPS)
 
 # Exit status of a step whose result must not be trusted.
 FAILED = 3

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 
 from eofm import io
 from eofm.app.options import Step, reads, sections_of, writes
-from eofm.app.tiles import TILED
 from eofm.errors import InputError
 from eofm.settings import (
     Estimation,
@@ -325,5 +324,4 @@ STEPS: tuple[Step, ...] = (
     view,
     stiffness,
     evaluate,
-    *TILED,
 )

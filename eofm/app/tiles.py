@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from eofm.app.options import reads, writes
+from eofm.app.options import Step, reads, writes
 from eofm.settings import Estimation, Pair, PartOfScale, Tiling
 
 if TYPE_CHECKING:
@@ -82,4 +82,4 @@ def gather(
     return write_gathered(work, folder)
 
 
-TILED = (coarse, tile, gather)
+STEPS: tuple[Step, ...] = (coarse, tile, gather)

@@ -12,8 +12,7 @@ from test_io import KINDS, written
 
 import eofm
 from eofm import io
-from eofm.app.cli import main
-from eofm.app.steps import STEPS
+from eofm.app.cli import STEPS, main
 
 
 @pytest.fixture(scope="module")

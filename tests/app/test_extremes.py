@@ -7,9 +7,8 @@ import sys
 import numpy as np
 import pytest
 
-from eofm.app.cli import main
+from eofm.app.cli import STEPS, main
 from eofm.app.options import sections_of
-from eofm.app.steps import STEPS
 from eofm.elasticity.forward import CELL, true_field
 from eofm.errors import InputError
 from eofm.io import limits

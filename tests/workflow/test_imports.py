@@ -127,6 +127,13 @@ def test_a_step_counts_what_its_own_function_imports(sources):
     assert "eofm/plot.py" in names(sources.of_step("draw"), sources)
 
 
+@pytest.mark.parametrize("step", ["forward", "background", "phantom"])
+def test_what_makes_samples_does_not_depend_on_how_they_are_estimated(step):
+    files = names(SOURCES.of_step(step), SOURCES)
+    estimates = ("eofm/flow/", "eofm/analysis/", "eofm/identification/", "eofm/imaging/bubbles.py")
+    assert not [name for name in files if name.startswith(estimates)]
+
+
 def test_a_script_counts_its_siblings_and_lazy_names(sources):
     assert names(sources.of_script("table.py"), sources) == {
         *("scripts/side.py", "eofm/plot.py"),
