@@ -16,7 +16,7 @@ from eofm.compiled import use_threads
 from eofm.imaging.intensity import normalise
 
 # Side of the part of the volumes on which everything is imported and compiled, voxels.
-SMALL = 48
+SMALL = 24
 # Volumes that are larger than this are done by two threads, whose time passes on the wall.
 LARGE = 128
 # Voxels that al-dvc leaves out at either side.
