@@ -168,7 +168,7 @@ def _levels(read: Callable[[Window], Array], shape: tuple[int, ...], most: int) 
     highlight, lines = HIGHLIGHT * (_quantile(every, 0.75) - median), bool(flat.sum() >= LINE - 1)
     largest = _quantile(values, 1) - median
     if highlight > largest and few(int(single.sum()), shape):
-        highlight = HIGHLIGHT * (_quantile(single, 0.75) - median)
+        highlight = HIGHLIGHT * (_quantile(single, 0.5) - median)
     if highlight > largest:
         highlight = np.inf
     bump = IMPULSE * steepest * _quantile(steep, 0.75)

@@ -17,7 +17,8 @@ from eofm.settings import LARGEST, LEAST
 # A highlight is so many times as high above the median as three in four local maxima are, which
 # are the brightest of squares of PEAK px; and its surroundings, px, are none the better.
 HIGHLIGHT, PEAK, MARGIN = 4.0, 5, 2
-# An image of large structures has less than one maximum in so many of these squares.
+# An image of large structures has less than one maximum in so many of these squares; of so few,
+# highlights may be a quarter.
 SPACIOUS = 8
 # Where there are more of them, that is what the sample looks like: of the whole, and of a Gaussian
 # window of a width, px. The skin is as bright, in a scan that shows air above it.
@@ -26,6 +27,8 @@ ISOLATED, NEIGHBOURHOOD = 0.02, 16.0
 # Length of a bright line of one value that no structure makes, px, if not more than a part of the
 # pixels that touch it has that value: structures that are clipped are ragged.
 LINE, RAGGED = 32, 0.25
+# Side of a square, or a cube, of one value, that is too thick for a line, px.
+THICK = 7
 # Speckle of linear intensity: sides of blocks, px; the contrast in them, whose theory is 0.52 for
 # amplitudes and 1 for intensities; how fast it grows with their mean, which is not at all after a
 # logarithm; and the range of the means, as a ratio: 15 dB.
@@ -148,7 +151,7 @@ class Levels(NamedTuple):
             return None
         highlight = HIGHLIGHT * np.quantile(every, 0.75)
         if highlight > every.max() and few(single.size, I.shape):
-            highlight = HIGHLIGHT * np.quantile(single, 0.75)
+            highlight = HIGHLIGHT * np.median(single)
         steep = bumps(I)
         bump = IMPULSE * np.quantile(steep.ravel()[:: max(1, steep.size // CHUNK)], 0.75)
         return cls(median, highlight, True, bump if rare(steep > bump, 2 * RARE) else np.inf)
@@ -279,9 +282,17 @@ def _lines(I: Array, bright: Mask) -> Mask:
             same = ndimage.maximum_filter1d(starts, LINE - 1, axis, mode="constant").view(bool)
             lines[before] |= same
             lines[after] |= same
-    if not lines.any():
-        return lines
-    # Few pixels that touch one have its value.
+    return _straight(I, lines) if lines.any() else lines
+
+
+def _straight(I: Array, lines: Mask) -> Mask:
+    """Those of some lines that are thin, and that few pixels of their value touch."""
+    from scipy import ndimage
+
+    low, high = (
+        f(I, THICK, mode="nearest") for f in (ndimage.minimum_filter, ndimage.maximum_filter)
+    )
+    lines = lines & ~ndimage.maximum_filter(low == high, THICK)
     label, count = ndimage.label(lines, ndimage.generate_binary_structure(lines.ndim, lines.ndim))
     value = np.zeros(count + 1, I.dtype)
     value[label[lines]] = I[lines]
@@ -289,9 +300,9 @@ def _lines(I: Array, bright: Mask) -> Mask:
     wider[lines] = 0
     touching = np.bincount(wider.ravel(), minlength=count + 1)
     alike = np.bincount(wider[value[wider] == I], minlength=count + 1)
-    smooth: Mask = alike <= RAGGED * touching
-    smooth[0] = False
-    return smooth[label]
+    straight: Mask = alike <= RAGGED * touching
+    straight[0] = False
+    return straight[label]
 
 
 def looks_linear(I: Array) -> bool:

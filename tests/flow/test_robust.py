@@ -209,6 +209,38 @@ def test_defects_are_highlights_and_saturated_lines_and_nothing_else():
     assert defects(line(I))[40:42].all()
 
 
+def test_defects_of_images_of_large_structures(rng):
+    """These have few maxima: most of their pixels are those of highlights, which are flat."""
+    x2, x1 = np.mgrid[:160, :160]
+    I = sum(
+        np.cos((x1 * np.cos(a) + x2 * np.sin(a)) / length + a)
+        for a, length in zip(rng.uniform(0, 6, 24), rng.uniform(3, 20, 24), strict=True)
+    )
+    I = 0.5 + I / 20
+    assert not defects(I).any()
+    spots = np.zeros(I.shape, dtype=bool)
+    for i, j in rng.integers(5, 150, (12, 2)):
+        spots[i : i + 3, j : j + 3] = True
+    found = defects(np.where(spots, 4.0, I))
+    assert found[spots].all()
+    assert found.mean() < 0.05
+    # Not the brightest, for structures or highlights may be brighter; dark ones are as the ground.
+    J = np.where(spots, 4.0, I)
+    J[60:62] = np.quantile(I, 0.9)
+    found = marked(J)
+    assert found[60:62].all()
+    assert not (found & ~spots)[63:].any()
+
+
+def test_pieces_of_one_value_that_are_not_straight_are_no_lines():
+    """Structures that are clipped, or painted, are as flat beside each of their rows."""
+    x2, x1 = np.mgrid[:120, :160]
+    I = speckle(motion((120, 160)))[0]
+    I[np.hypot(x1 - 80, x2 - 60) < 40] = 0.8
+    assert not marked(I).any()
+    assert marked(line(I))[40:42].all()
+
+
 def impulses(I):
     return Levels.of(I).single(I)
 

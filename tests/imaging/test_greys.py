@@ -14,12 +14,14 @@ from eofm.io import windows
 SHAPE = (30, 40, 36)
 
 
-def volumes(seed=0, lights=0, line=False, impulses=0):
+def volumes(seed=0, lights=0, line=False, impulses=0, width=1.0):
     rng = np.random.default_rng(seed)
-    pair = [(100 + 50 * gaussian_filter(rng.rayleigh(size=SHAPE), 1.0)) for _ in range(2)]
+    pair = [(100 + 50 * gaussian_filter(rng.rayleigh(size=SHAPE), width)) for _ in range(2)]
     pair = [I.astype(np.float32) for I in pair]
     for at in rng.integers(4, 26, (lights, 3)):
-        pair[0][tuple(at)] += 5000
+        i, j, k = at
+        # A flat one among large structures, a point among small ones.
+        pair[0][i, j, k : k + int(width)] = 5200
     pair[0][tuple(rng.integers(0, 30, (3, impulses)))] = 0
     if line:
         pair[1][12, 3:, 20] = 1000
@@ -33,11 +35,14 @@ def whole(pair):
 
 
 @pytest.mark.parametrize(
-    ("lights", "line", "impulses"),
-    [(0, False, 0), (5, False, 0), (5, True, 0), (0, True, 0), (0, False, 40), (5, True, 40)],
+    ("lights", "line", "impulses", "width"),
+    [
+        *((0, False, 0, 1.0), (5, False, 0, 1.0), (5, True, 0, 1.0), (0, True, 0, 1.0)),
+        *((0, False, 40, 1.0), (5, True, 40, 1.0), (5, True, 0, 4.0)),
+    ],
 )
-def test_windows_have_the_grey_scale_of_the_whole(lights, line, impulses):
-    pair = volumes(lights=lights, line=line, impulses=impulses)
+def test_windows_have_the_grey_scale_of_the_whole(lights, line, impulses, width):
+    pair = volumes(lights=lights, line=line, impulses=impulses, width=width)
 
     def raw(k, window):
         return pair[k][window]
