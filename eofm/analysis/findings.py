@@ -216,13 +216,15 @@ def _bubbles(summary: dict[str, Any]) -> Iterator[Finding]:
 
 def _defects(summary: dict[str, Any]) -> Iterator[Finding]:
     shares = summary["defect_share"]
-    if max(shares) > 0:
-        frame = shares.index(max(shares)) + 1
+    totals = [sum(kinds.values()) for kinds in shares]
+    if max(totals) > 0:
+        frame = totals.index(max(totals))
+        kinds = ", ".join(f"{kind} ({share:.2%})" for kind, share in shares[frame].items())
         yield Finding(
             "note",
-            f"Highlights or saturated lines cover {max(shares):.1%} of frame {frame}; they are left"
-            " out.",
-            "A lower gain of the detector, or a mask, spares them.",
+            f"Left out of frame {frame + 1}: {kinds}.",
+            "A lower gain of the detector spares highlights and saturated lines; pixels that stand"
+            " alone are hot, dead, or noise.",
         )
 
 

@@ -11,7 +11,7 @@ from eofm.analysis.tensors import invariants, labels
 from eofm.errors import InputError
 from eofm.flow.start import REACH
 from eofm.grid import Array, Mask
-from eofm.imaging.intensity import defects, filled, looks_linear
+from eofm.imaging.intensity import defects_by_kind, filled, looks_linear
 from eofm.settings import Estimation, Measures
 
 if TYPE_CHECKING:
@@ -90,8 +90,14 @@ def of_images(
         "share_of_data_median": float(np.median(share)),
         "share_held_by_regulariser": float(held(share, match)[~dead].mean()),
         "looks_linear": looks_linear(frames[0]),
-        "defect_share": [float((defects(filled(I, dead)) & ~dead).mean()) for I in frames],
+        "defect_share": [_defect_share(I, dead) for I in frames],
     }
+
+
+def _defect_share(I: Array, dead: Mask) -> dict[str, float]:
+    """Parts of a frame that show the detector instead of the sample, by kind."""
+    found = defects_by_kind(filled(I, dead))
+    return {kind: float((mask & ~dead).mean()) for kind, mask in found.items() if mask.any()}
 
 
 def held(share: Array, match: Array) -> Mask:

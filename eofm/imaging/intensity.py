@@ -163,11 +163,15 @@ class Levels(NamedTuple):
 
     def marked(self, I: Array) -> Mask:
         """Pixels of highlights and saturated lines."""
-        above = I - self.median
-        found = highlights(above, self.highlight)
-        if self.lines:
-            found |= _lines(I, above > 0)
-        return found
+        return self.lit(I) | self.lined(I)
+
+    def lit(self, I: Array) -> Mask:
+        """Pixels of highlights."""
+        return highlights(I - self.median, self.highlight)
+
+    def lined(self, I: Array) -> Mask:
+        """Pixels of saturated lines."""
+        return _lines(I, self.median < I) if self.lines else np.zeros(I.shape, dtype=bool)
 
     def single(self, I: Array) -> Mask:
         """Impulses: pixels that are bright or dark alone, as hot and dead ones are."""
@@ -242,7 +246,15 @@ def highlights(above: Array, height: float) -> Mask:
 
 
 def defects(I: Array, levels: Levels | None = None) -> Mask:
-    """Pixels that show the detector instead of the sample: highlights, saturated lines, impulses.
+    """Pixels that show the detector instead of the sample, see `defects_by_kind`."""
+    found = np.zeros(I.shape, dtype=bool)
+    for kind in defects_by_kind(I, levels).values():
+        found |= kind
+    return found
+
+
+def defects_by_kind(I: Array, levels: Levels | None = None) -> dict[str, Mask]:
+    """Highlights and saturated lines, with what is next to them, and pixels that stand alone.
 
     Saturated pixels as such are none: what is clipped where it is bright moves with the
     sample. Highlights stand alone, and none is found where it would make up more than 5 % of the
@@ -253,13 +265,16 @@ def defects(I: Array, levels: Levels | None = None) -> Mask:
 
     own = levels or Levels.of(I)
     if own is None:
-        return np.zeros(I.shape, dtype=bool)
-    found, single = own.marked(I), own.single(I)
+        return {}
+    marked, single = {"highlights": own.lit(I), "saturated lines": own.lined(I)}, own.single(I)
     if levels is None:
-        found, single = (f & rare(f) for f in (found, single))
-    if found.any():
-        single |= ndimage.binary_dilation(found, iterations=MARGIN)
-    return single
+        single &= rare(single)
+        if not rare(np.logical_or(*marked.values())):
+            marked = {}
+    for kind, found in marked.items():
+        if found.any():
+            marked[kind] = ndimage.binary_dilation(found, iterations=MARGIN)
+    return marked | {"single pixels": single}
 
 
 def _lines(I: Array, bright: Mask) -> Mask:

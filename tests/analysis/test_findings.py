@@ -27,7 +27,7 @@ GOOD = {
     "residual_rms_without_motion": 0.09,
     "share_held_by_regulariser": 0.0,
     "looks_linear": False,
-    "defect_share": [0.0, 0.0],
+    "defect_share": [{}, {}],
 }
 
 
@@ -91,7 +91,17 @@ def test_a_sequence_says_that_it_is_the_sum():
         ({"residual_rms": 0.085}, "doubt", "0.09 of their range", "average frames"),
         ({"bubbles": [20]}, "note", "20 of 100 bubbles", "lower quality"),
         ({"largest_motion_px": [2.0, 24.0]}, "doubt", "near the limit", "smaller steps"),
-        ({"defect_share": [0.0, 0.02]}, "note", "2.0% of frame 2", "lower gain"),
+        (
+            {
+                "defect_share": [
+                    {"single pixels": 0.01},
+                    {"highlights": 0.02, "single pixels": 0.001},
+                ]
+            },
+            "note",
+            "frame 2: highlights (2.00%), single pixels (0.10%)",
+            "lower gain",
+        ),
         ({"dead_share": 0.2}, "note", "The mask leaves out 20%", ""),
         ({"looks_linear": True}, "note", "looks like linear intensity", "--intensity log"),
     ],

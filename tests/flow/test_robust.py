@@ -9,7 +9,7 @@ import eofm.grid
 from eofm.flow.matching import Overall, brightness
 from eofm.flow.start import consistent, match_blocks, unlike
 from eofm.grid import Grid
-from eofm.imaging.intensity import Levels, Window, defects, normalise_locally
+from eofm.imaging.intensity import Levels, Window, defects, defects_by_kind, normalise_locally
 
 SHAPE = (96, 112)
 
@@ -207,6 +207,18 @@ def test_defects_are_highlights_and_saturated_lines_and_nothing_else():
     assert found[10:90:17, 9:100:21].all()
     assert found.mean() < 0.1
     assert defects(line(I))[40:42].all()
+
+
+def test_defects_have_kinds():
+    I = line(speckle(motion())[0])
+    I[10:12, 30:32] = 6.0
+    I[70, 50] = 2.0
+    found = defects_by_kind(I)
+    at = {"highlights": [10, 30], "saturated lines": [40, 5], "single pixels": [70, 50]}
+    assert set(found) == set(at)
+    for kind, mask in found.items():
+        assert [mask[*place] for place in at.values()] == [kind == other for other in at]
+    assert np.array_equal(defects(I), sum(found.values()) > 0)
 
 
 def test_defects_of_images_of_large_structures(rng):
