@@ -7,7 +7,7 @@ import numpy as np
 
 from eofm.grid import Array
 from eofm.identification.folds import Folds
-from eofm.identification.inclusions import Outlined, no_inclusions, outline
+from eofm.identification.inclusions import Outlined, no_inclusions, one_more, outline
 from eofm.identification.inversion import Inversion, Report, gauss_newton
 from eofm.settings import Identification
 
@@ -76,7 +76,7 @@ class Prior:
         if self.inclusions:
             found = start.outlined or no_inclusions(problem, z)
             for _ in range(self.inclusions - found.inclusions.count):
-                found = outline(found.more(), settings, report)
+                found = one_more(found, settings, report)
             return Fit(problem, found.z, found)
         z = gauss_newton(problem, z, self.gamma, settings, report)
         for _ in range(ROUNDS if self.sharper else 0):
@@ -87,7 +87,7 @@ class Prior:
     def again(self, fit: Fit, problem: Inversion, settings: Identification, report: Report) -> Fit:
         """Return what an inversion about another estimate finds from the fit of one before."""
         if fit.outlined:
-            found = outline(replace(fit.outlined, problem=problem), settings, report)
+            found = outline(fit.outlined.inclusions.on(problem), settings, report)
             return Fit(problem, found.z, found)
         problem = replace(problem, weights=fit.problem.weights)
         return Fit(problem, gauss_newton(problem, fit.z, self.weight, settings, report))

@@ -5,6 +5,7 @@ An outline is ``log r = a_0 + sum_k a_k cos k t + b_k sin k t`` about its middle
 element: a prior of total variation takes off contrast and spreads outlines over the noise.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,8 +18,11 @@ from eofm.settings import Identification
 
 # Sides of an element per width over which an outline is spread: about what an element averages.
 WIDTH = 6
-# Radius and distance of the discs that may become inclusions, as a part of the root of the area.
-DISC = 0.1
+# Radii of the discs that may become inclusions, as parts of the root of the area; of each size
+# they lie so far apart as well.
+DISCS = 0.1, 0.2
+# How many of them are tried at once, and the steps after which the best one is told.
+TRIED, BRIEF = 3, 8
 # Harmonics of an outline, and their standard deviations before the images are seen: an ellipse
 # whose axes are as 2 to 1 has 0.33 of the second and 0.06 of the fourth.
 HARMONICS = np.arange(2, 7)
@@ -31,6 +35,8 @@ FIRST_SINE = 4 + len(HARMONICS)
 PRIOR = np.r_[np.zeros(3), CONTRAST**-2.0, np.tile(SPREADS**-2.0, 2)]
 # Second harmonic of an outline that may be of two inclusions.
 LONG = 0.5
+# Part of the least gain at which fits of so few numbers stop: they creep along valleys.
+FEW = 0.02
 # Largest change of m and of a log radius in one step.
 STEP = 0.7
 
@@ -87,6 +93,10 @@ class Inclusions:
         discs = [np.r_[x + side * apart, rest] for side in (-1, 1)]
         return replace(self, p=np.vstack([np.delete(self.p, k, axis=0), discs]))
 
+    def on(self, problem: Inversion) -> "Outlined":
+        """The same in an inversion on other elements, whose edges move as first guessed."""
+        return replace(self, model=problem.model).outlined(problem, problem.start())
+
     def outlined(self, problem: Inversion, z: Array) -> "Outlined":
         """The same in an inversion, whose edges move as ``z`` says."""
         parts, elements = self.parts, problem.elements
@@ -142,24 +152,17 @@ class Outlined:
         n = len(self.by)
         return np.r_[d[:n] @ self.by, d[n:]]
 
-    def more(self) -> "Outlined":
-        """The same with one more inclusion.
+    def more(self) -> list["Outlined"]:
+        """The same with one more inclusion, in ways that promise to take most off the misfit.
 
-        A very long one, which may be two, is cut; if there is none, a disc is added where it takes
-        most off the misfit, to first order.
+        Discs are added where they do so to first order, not close to each other; the longest
+        inclusion, if it may be two, is cut.
         """
         problem, p = self.problem, self.inclusions.p
-        if len(p) and np.hypot(p[:, 4], p[:, FIRST_SINE]).max() > LONG:
-            return self.inclusions.cut().outlined(problem, self.z)
         state = problem.state(self.z)
         right = problem.back(self.z, state, problem.misfit(state))
-        shape, sides = problem.model.shape[::-1], problem.model.sides
-        lengths = [k * h for k, h in zip(shape, sides, strict=True)]
-        radius = DISC * np.sqrt(lengths[0] * lengths[1])
-        x = [np.arange(radius / 2, length, radius) for length in lengths]
         found = []
-        for middle in np.stack(np.meshgrid(*x), axis=-1).reshape(-1, 2):
-            disc = np.r_[middle, np.log(radius), 1.0, np.zeros(SIZE - 4)]
+        for disc in self._discs():
             ((m, _),) = replace(self.inclusions, p=disc[None]).parts
             d = np.r_[m, np.zeros(self.edges)]
             u = problem.forth(self.z, state, d)
@@ -167,8 +170,24 @@ class Outlined:
             curvature = float((problem.data.product(u) * u).sum()) + CONTRAST**-2
             disc[3] = np.clip(slope / curvature, -STEP, STEP)
             found.append((slope**2 / curvature, disc))
-        _, disc = max(found, key=lambda pair: pair[0])
-        return replace(self.inclusions, p=np.vstack([p, disc])).outlined(problem, self.z)
+        kept: list[Array] = []
+        for _, disc in sorted(found, key=lambda pair: -pair[0]):
+            apart = (np.hypot(*(disc[:2] - other[:2])) > np.exp(disc[2]) for other in kept)
+            if len(kept) < TRIED and all(apart):
+                kept.append(disc)
+        more = [replace(self.inclusions, p=np.vstack([p, disc])) for disc in kept]
+        if len(p) and np.hypot(p[:, 4], p[:, FIRST_SINE]).max() > LONG:
+            more.append(self.inclusions.cut())
+        return [inclusions.outlined(problem, self.z) for inclusions in more]
+
+    def _discs(self) -> Iterator[Array]:
+        shape, sides = self.problem.model.shape[::-1], self.problem.model.sides
+        lengths = [k * h for k, h in zip(shape, sides, strict=True)]
+        for part in DISCS:
+            radius = part * np.sqrt(lengths[0] * lengths[1])
+            x = [np.arange(radius / 2, length, radius) for length in lengths]
+            for middle in np.stack(np.meshgrid(*x), axis=-1).reshape(-1, 2):
+                yield np.r_[middle, np.log(radius), 1.0, np.zeros(SIZE - 4)]
 
     def derivative(self, state: State) -> Array:
         """Of the displacement by each number, shape (numbers, 2, height, width)."""
@@ -192,6 +211,14 @@ class Outlined:
 def no_inclusions(problem: Inversion, z: Array) -> Outlined:
     """A homogeneous sample, whose edges move as ``z`` says."""
     return Inclusions(problem.model, np.zeros((0, SIZE))).outlined(problem, z)
+
+
+def one_more(now: Outlined, settings: Identification, report: Report) -> Outlined:
+    """Inclusions that fit the images best, one more than some."""
+    brief = settings.changed(iterations=min(BRIEF, settings.iterations))
+    tried = [outline(start, brief, report) for start in now.more()]
+    best = min(tried, key=lambda found: found.cost(found.problem.state(found.z)))
+    return outline(best, settings, report)
 
 
 def outline(now: Outlined, settings: Identification, report: Report) -> Outlined:
@@ -223,6 +250,6 @@ def outline(now: Outlined, settings: Identification, report: Report) -> Outlined
                 break
             continue
         now, state, cost, damping, system = trial, trial_state, cost - gain, damping / 4, None
-        if gain < settings.least_gain / 10:
+        if gain < FEW * settings.least_gain:
             break
     return now

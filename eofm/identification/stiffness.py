@@ -37,10 +37,14 @@ from eofm.threads import serial
 
 # Contradictions smaller than this are none, px.
 UNCERTAIN = 0.5
+# Standard deviations by which a contradiction has to stand out, and samples that tell them.
+CLEAR, SCALE_SAMPLES = 3.0, 16
 # Elements at most, where their size is left open: their matrix is factorised many times.
 ELEMENTS = 6400
 # Smallest side of an element then, px.
 SMALLEST = 4.0
+# How much smaller their side is for the few numbers of inclusions, in the rounds after the first.
+FINER = 2.0
 # Largest contrast of a first guess.
 STRONGEST = 8.0
 # Samples of the error bars that decide whether E is refused.
@@ -171,7 +175,7 @@ def identify_stiffness(
 
     Notes
     -----
-    Where the images contradict the stated motion of the edges by more than
+    Where the images clearly contradict the stated motion of the edges by more than
     ``settings.trust``, all of it is multiplied by the factor for which they ask.
 
     The weight gamma and the start are chosen on bubbles held out, see `choose`. They also
@@ -259,11 +263,21 @@ class Setup:
     @cached_property
     def model(self) -> Elastic:
         """The forward model, with the motion of edges in true lengths."""
-        sides = np.array(self.sample.shape) - 1
-        cell = self.settings.cell or max(SMALLEST, np.sqrt(np.prod(sides) / ELEMENTS))
         motion = {edge: self.h[..., 0] * g for edge, g in self.motion.items()}
         spacing = unit_spacing(self.pixel_size)
-        return Elastic(self.sample, motion, cell, spacing, self.loose)
+        return Elastic(self.sample, motion, self.cell, spacing, self.loose)
+
+    @property
+    def cell(self) -> float:
+        """Side of an element, px."""
+        sides = np.array(self.sample.shape) - 1
+        return self.settings.cell or max(SMALLEST, float(np.sqrt(np.prod(sides) / ELEMENTS)))
+
+    @cached_property
+    def finer(self) -> "Setup":
+        """The same on smaller elements: those that an outline cuts are a good part of a disc."""
+        cell = max(self.cell / FINER, min(self.cell, 1.0))
+        return replace(self, settings=self.settings.changed(cell=cell))
 
     def problems(self, estimate: Estimate, masks: Sequence[Mask]) -> list[Inversion]:
         """One for each mask of pixels that are seen."""
@@ -299,7 +313,8 @@ class Setup:
     ) -> "Stiffness":
         """The sample that fits the images, linearised about an estimate."""
         everything, prior = np.ones(self.sample.shape, dtype=bool), choice.prior
-        whole = self.problems(estimate, [everything])[0]
+        setup = self.finer if previous and previous.fit.outlined else self
+        whole = setup.problems(estimate, [everything])[0]
         if previous is None:
             start = self.first(whole, estimate, choice, report)
             fit = prior.fit(Fit(whole, start), self.settings, report)
@@ -392,10 +407,11 @@ def _check(I1: Array, I2: Array, sample: Sample) -> None:
 
 
 def _scale(free: Estimate, u_bg: Array, edges: Iterable[Edge], settings: Identification) -> float:
-    """Factor of the edges' motion for which the images ask, 1 where it is near 1.
+    """Factor of the edges' motion for which the images ask, 1 where they may mean that.
 
     ``free`` does not know the edges. The factor is the least squares fit of the medians along
-    them, less their mean, to those of the stated motion.
+    them, less their mean, to those of the stated motion. It differs from 1 by more than
+    ``settings.trust``, and clearly more than errors of ``free`` as they may be would make it.
 
     Raises
     ------
@@ -422,4 +438,7 @@ def _scale(free: Estimate, u_bg: Array, edges: Iterable[Edge], settings: Identif
             f"the images contradict the motion of the edges by {wrong:.2f} px and would have"
             f" {scale:.3f} times of it; state it better, or raise the doubt ({settings.doubt:g})"
         )
-    return 1.0 if abs(scale - 1) <= settings.trust else scale
+    errors = (medians(error) for error in free.samples(SCALE_SAMPLES))
+    chance = [(error * b).sum() / (b * b).sum() for error in errors]
+    least = max(settings.trust, CLEAR * float(np.sqrt(np.mean(np.square(chance)))))
+    return 1.0 if abs(scale - 1) <= least else scale

@@ -130,9 +130,11 @@ class Errors:
 
     def _log_E(self, fits: Sequence[Fit]) -> Array:
         """Logarithm of the modulus relative to the background's at the pixels, of each fit."""
-        moduli = (LARGEST * np.tanh(self.fit.problem.m(fit.z) / LARGEST) for fit in fits)
-        to_pixels = self.fit.problem.model.elements_to_pixels
-        return np.stack([to_pixels(log_E - np.median(log_E)) for log_E in moduli])
+        found = []
+        for problem, z in ((fit.problem, fit.z) for fit in fits):
+            log_E = LARGEST * np.tanh(problem.m(z) / LARGEST)
+            found.append(problem.model.elements_to_pixels(log_E - np.median(log_E)))
+        return np.stack(found)
 
 
 @serial
