@@ -37,6 +37,8 @@ PRIOR = np.r_[np.zeros(3), CONTRAST**-2.0, np.tile(SPREADS**-2.0, 2)]
 LONG = 0.5
 # Part of the least gain at which fits of so few numbers stop: they creep along valleys.
 FEW = 0.02
+# Numbers by which is differentiated at a time.
+TOGETHER = 16
 # Largest change of m and of a log radius in one step.
 STEP = 0.7
 
@@ -155,19 +157,21 @@ class Outlined:
     def more(self) -> list["Outlined"]:
         """The same with one more inclusion, in ways that promise to take most off the misfit.
 
-        Discs are added where they do so to first order, not close to each other; the longest
-        inclusion, if it may be two, is cut.
+        A very long one, which may be two, is cut; if there is none, discs are added where they do
+        so to first order, not close to each other.
         """
         problem, p = self.problem, self.inclusions.p
+        if len(p) and np.hypot(p[:, 4], p[:, FIRST_SINE]).max() > LONG:
+            return [self.inclusions.cut().outlined(problem, self.z)]
         state = problem.state(self.z)
         right = problem.back(self.z, state, problem.misfit(state))
         found = []
         for disc in self._discs():
             ((m, _),) = replace(self.inclusions, p=disc[None]).parts
             d = np.r_[m, np.zeros(self.edges)]
-            u = problem.forth(self.z, state, d)
             slope = float(d @ right)
-            curvature = float((problem.data.product(u) * u).sum()) + CONTRAST**-2
+            seen = problem.seen(problem.forth(self.z, state, d))
+            curvature = float((seen**2).sum()) + CONTRAST**-2
             disc[3] = np.clip(slope / curvature, -STEP, STEP)
             found.append((slope**2 / curvature, disc))
         kept: list[Array] = []
@@ -175,9 +179,7 @@ class Outlined:
             apart = (np.hypot(*(disc[:2] - other[:2])) > np.exp(disc[2]) for other in kept)
             if len(kept) < TRIED and all(apart):
                 kept.append(disc)
-        more = [replace(self.inclusions, p=np.vstack([p, disc])) for disc in kept]
-        if len(p) and np.hypot(p[:, 4], p[:, FIRST_SINE]).max() > LONG:
-            more.append(self.inclusions.cut())
+        more = (replace(self.inclusions, p=np.vstack([p, disc])) for disc in kept)
         return [inclusions.outlined(problem, self.z) for inclusions in more]
 
     def _discs(self) -> Iterator[Array]:
@@ -190,21 +192,19 @@ class Outlined:
                 yield np.r_[middle, np.log(radius), 1.0, np.zeros(SIZE - 4)]
 
     def derivative(self, state: State) -> Array:
-        """Of the displacement by each number, shape (numbers, 2, height, width)."""
-        return np.stack(
-            [self.problem.forth(self.z, state, self.change(d)) for d in np.eye(self.prior.size)]
-        )
-
-    def hessian(self, J: Array) -> Array:
-        """Gauss-Newton's, without the prior."""
-        A = np.stack([self.problem.data.product(u) for u in J])
-        H: Array = J.reshape(len(J), -1) @ A.reshape(len(J), -1).T
-        return H
+        """Of what is left of the images by each number, shape (numbers, pixels)."""
+        problem, size = self.problem, self.prior.size
+        G = np.empty((size, problem.r.size))
+        for first in range(0, size, TOGETHER):
+            some = slice(first, first + TOGETHER)
+            d = np.stack([self.change(d) for d in np.eye(size)[some]])
+            seen = problem.seen(problem.forth(self.z, state, d))
+            G[some] = seen.reshape(len(seen), -1)
+        return G
 
     def cost(self, state: State) -> float:
-        """Value of the functional, bar a constant."""
-        u, data = self.problem.u(state), self.problem.data
-        fit = (data.product(u) * u - 2 * data.b * u).sum()
+        """Value of the functional."""
+        fit = (self.problem.left(state) ** 2).sum()
         return float(fit + (self.prior * self.values**2).sum())
 
 
@@ -215,8 +215,10 @@ def no_inclusions(problem: Inversion, z: Array) -> Outlined:
 
 def one_more(now: Outlined, settings: Identification, report: Report) -> Outlined:
     """Inclusions that fit the images best, one more than some."""
-    brief = settings.changed(iterations=min(BRIEF, settings.iterations))
-    tried = [outline(start, brief, report) for start in now.more()]
+    tried = now.more()
+    if len(tried) > 1:
+        brief = settings.changed(iterations=min(BRIEF, settings.iterations))
+        tried = [outline(start, brief, report) for start in tried]
     best = min(tried, key=lambda found: found.cost(found.problem.state(found.z)))
     return outline(best, settings, report)
 
@@ -231,9 +233,9 @@ def outline(now: Outlined, settings: Identification, report: Report) -> Outlined
     system = None
     for step in range(settings.iterations):
         if system is None:
-            J = now.derivative(state)
-            H = now.hessian(J) + np.diag(now.prior)
-            right = np.tensordot(J, problem.misfit(state), 3) - now.prior * now.values
+            G = now.derivative(state)
+            H = G @ G.T + np.diag(now.prior)
+            right = -G @ problem.left(state).ravel() - now.prior * now.values
             system = H, right
         H, right = system
         damped = H + np.diag(damping * np.diag(H) + 1e-9 * np.diag(H).max())

@@ -22,7 +22,6 @@ from eofm.elasticity.forward import deform, press
 from eofm.elasticity.sensitivity import Elastic
 from eofm.errors import InputError
 from eofm.flow.estimate import Estimate, estimate_displacement
-from eofm.flow.functional import Pointwise
 from eofm.flow.known import Known
 from eofm.grid import FACES, Array, Edge, Mask, componentwise, faces, unit_spacing
 from eofm.identification.choice import NONE, Choice, Fit, choose, clearly_better
@@ -288,11 +287,11 @@ class Setup:
             plain = model.to_pixels(model.solve(np.zeros(model.shape)).u)
             correction = self.h * self.u_bg - plain
         edges = motions(model, estimate, self.h)
+        left = match.residual(np.zeros_like(self.u_bg))
         problems = []
         for mask in masks:
-            data = match.density(np.zeros_like(self.u_bg), mask)
-            scaled = Pointwise(data.A / match.noise**2, data.b / match.noise**2)
-            problems.append(Inversion(model, correction, scaled, self.settings.epsilon, edges))
+            g, r = (f * (match.used & mask) / match.noise for f in (match.g, left))
+            problems.append(Inversion(model, correction, g, r, self.settings.epsilon, edges))
         return problems
 
     def choose(self, estimate: Estimate, report: Report) -> tuple[Choice, str]:

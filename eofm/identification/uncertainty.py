@@ -100,11 +100,11 @@ class Errors:
     ) -> Iterator[Array]:
         """The same of inclusions with smooth outlines."""
         found = cast(Outlined, self.fit.outlined)
-        J = found.derivative(state)
-        H = found.hessian(J) + np.diag(found.prior)
+        G, left = found.derivative(state), found.problem.left(state)
+        H = G @ G.T + np.diag(found.prior)
         factor = cho_factor(H + 1e-9 * np.diag(H).max() * np.eye(len(H)))
         for _ in range(samples):
-            right = np.tensordot(J, random_signs(misfit.shape[1:], rng) * misfit, 3)
+            right = G @ (random_signs(left.shape, rng) * left).ravel()
             right += np.sqrt(found.prior) * rng.standard_normal(len(H))
             yield found.change(cho_solve(factor, right))
 

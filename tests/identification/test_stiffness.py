@@ -9,7 +9,6 @@ from eofm.analysis.metrics import relative_errors
 from eofm.elasticity.sensitivity import Elastic
 from eofm.errors import InputError
 from eofm.flow.estimate import estimate_displacement
-from eofm.flow.functional import Pointwise
 from eofm.flow.known import Known
 from eofm.grid import faces
 from eofm.identification.inversion import Inversion
@@ -23,8 +22,9 @@ pytestmark = pytest.mark.slow
 def test_the_step_goes_downhill(loose):
     motion = PRESSED | {edge: np.zeros((2, 1)) for edge in loose}
     model, rng = Elastic(PLAIN, motion, 4.0, loose=loose), np.random.default_rng(2)
-    data = Pointwise(np.ones((3, *PLAIN.shape)) * np.reshape([1, 0, 1], (3, 1, 1)), pair()[2])
-    problem = Inversion(model, np.zeros((2, *PLAIN.shape)), data, 0.02, 0.1 * model.hats(7.0)[0])
+    g, none = rng.normal(size=(2, *PLAIN.shape)), np.zeros((2, *PLAIN.shape))
+    r = -(g * pair()[2]).sum(0)
+    problem = Inversion(model, none, g, r, 0.02, 0.1 * model.hats(7.0)[0])
     z = problem.start(0.1 * rng.normal(size=model.shape))
     state = problem.state(z)
     step = problem.improve(z, state, 0.1, damping=1.0)
@@ -34,8 +34,8 @@ def test_the_step_goes_downhill(loose):
 
 def test_relaxed_outlines_weigh_less_where_they_are_and_not_elsewhere():
     model = Elastic(PLAIN, PRESSED, 4.0)
-    data = Pointwise(np.ones((3, *PLAIN.shape)), pair()[2])
-    problem = Inversion(model, np.zeros((2, *PLAIN.shape)), data, 0.02, model.hats(7.0)[0])
+    none = np.zeros((2, *PLAIN.shape))
+    problem = Inversion(model, none, none, none[0], 0.02, model.hats(7.0)[0])
     m = np.zeros(model.shape)
     m[3:6, 4:9] = 1.0
     weights = problem.relaxed(problem.start(m)).weights.reshape(model.shape)
