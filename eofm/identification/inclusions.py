@@ -5,7 +5,6 @@ An outline is ``log r = a_0 + sum_k a_k cos k t + b_k sin k t`` about its middle
 element: a prior of total variation takes off contrast and spreads outlines over the noise.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,11 +17,10 @@ from eofm.settings import Identification
 
 # Sides of an element per width over which an outline is spread: about what an element averages.
 WIDTH = 6
-# Radii of the discs that may become inclusions, as parts of the root of the area; of each size
-# they lie so far apart as well.
-DISCS = 0.1, 0.2
-# How many of them are tried at once, and the steps after which the best one is told.
-TRIED, BRIEF = 3, 8
+# Radius and distance of the discs that may become inclusions, as a part of the root of the area.
+DISC = 0.1
+# Steps after which the best of several is told.
+BRIEF = 8
 # Harmonics of an outline, and their standard deviations before the images are seen: an ellipse
 # whose axes are as 2 to 1 has 0.33 of the second and 0.06 of the fourth.
 HARMONICS = np.arange(2, 7)
@@ -154,19 +152,24 @@ class Outlined:
         n = len(self.by)
         return np.r_[d[:n] @ self.by, d[n:]]
 
-    def more(self) -> list["Outlined"]:
+    def more(self, places: int) -> list["Outlined"]:
         """The same with one more inclusion, in ways that promise to take most off the misfit.
 
-        A very long one, which may be two, is cut; if there is none, discs are added where they do
-        so to first order, not close to each other.
+        A very long one, which may be two, is cut; if there is none, a disc is added at each of some
+        places where it does so to first order, not close to each other.
         """
         problem, p = self.problem, self.inclusions.p
         if len(p) and np.hypot(p[:, 4], p[:, FIRST_SINE]).max() > LONG:
             return [self.inclusions.cut().outlined(problem, self.z)]
         state = problem.state(self.z)
         right = problem.back(self.z, state, problem.misfit(state))
+        shape, sides = problem.model.shape[::-1], problem.model.sides
+        lengths = [k * h for k, h in zip(shape, sides, strict=True)]
+        radius = DISC * np.sqrt(lengths[0] * lengths[1])
+        x = [np.arange(radius / 2, length, radius) for length in lengths]
         found = []
-        for disc in self._discs():
+        for middle in np.stack(np.meshgrid(*x), axis=-1).reshape(-1, 2):
+            disc = np.r_[middle, np.log(radius), 1.0, np.zeros(SIZE - 4)]
             ((m, _),) = replace(self.inclusions, p=disc[None]).parts
             d = np.r_[m, np.zeros(self.edges)]
             slope = float(d @ right)
@@ -176,20 +179,11 @@ class Outlined:
             found.append((slope**2 / curvature, disc))
         kept: list[Array] = []
         for _, disc in sorted(found, key=lambda pair: -pair[0]):
-            apart = (np.hypot(*(disc[:2] - other[:2])) > np.exp(disc[2]) for other in kept)
-            if len(kept) < TRIED and all(apart):
+            apart = (np.hypot(*(disc[:2] - other[:2])) > 1.5 * radius for other in kept)
+            if len(kept) < places and all(apart):
                 kept.append(disc)
         more = (replace(self.inclusions, p=np.vstack([p, disc])) for disc in kept)
         return [inclusions.outlined(problem, self.z) for inclusions in more]
-
-    def _discs(self) -> Iterator[Array]:
-        shape, sides = self.problem.model.shape[::-1], self.problem.model.sides
-        lengths = [k * h for k, h in zip(shape, sides, strict=True)]
-        for part in DISCS:
-            radius = part * np.sqrt(lengths[0] * lengths[1])
-            x = [np.arange(radius / 2, length, radius) for length in lengths]
-            for middle in np.stack(np.meshgrid(*x), axis=-1).reshape(-1, 2):
-                yield np.r_[middle, np.log(radius), 1.0, np.zeros(SIZE - 4)]
 
     def derivative(self, state: State) -> Array:
         """Of what is left of the images by each number, shape (numbers, pixels)."""
@@ -213,9 +207,9 @@ def no_inclusions(problem: Inversion, z: Array) -> Outlined:
     return Inclusions(problem.model, np.zeros((0, SIZE))).outlined(problem, z)
 
 
-def one_more(now: Outlined, settings: Identification, report: Report) -> Outlined:
-    """Inclusions that fit the images best, one more than some."""
-    tried = now.more()
+def one_more(now: Outlined, places: int, settings: Identification, report: Report) -> Outlined:
+    """Inclusions that fit the images best, one more than some, tried at so many places."""
+    tried = now.more(places)
     if len(tried) > 1:
         brief = settings.changed(iterations=min(BRIEF, settings.iterations))
         tried = [outline(start, brief, report) for start in tried]

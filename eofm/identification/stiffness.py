@@ -315,8 +315,7 @@ class Setup:
         setup = self.finer if previous and previous.fit.outlined else self
         whole = setup.problems(estimate, [everything])[0]
         if previous is None:
-            start = self.first(whole, estimate, choice, report)
-            fit = prior.fit(Fit(whole, start), self.settings, report)
+            fit = self.first(whole, estimate, choice, report)
         else:
             fit = prior.again(previous.fit, whole, self.settings, report)
         log_E = LARGEST * np.tanh(whole.m(fit.z) / LARGEST)
@@ -336,18 +335,18 @@ class Setup:
             return found
         return replace(found, estimate=replace(found.estimate, u=found.elastic))
 
-    def first(
-        self, problem: Inversion, estimate: Estimate, choice: Choice, report: Report
-    ) -> Array:
-        """The better of two starts: what a fold found, and what strains suggest."""
-        gamma, found = choice.prior.gamma, choice.fits[0].z
-        if choice.prior.inclusions:
-            return problem.start()
-        if gamma >= NONE:
-            return found
-        starts = [found, problem.start(softness(estimate.u, problem.model))]
-        fits = [gauss_newton(problem, z, gamma, self.settings, report) for z in starts]
-        return min(fits, key=lambda z: problem.cost(z, problem.state(z), gamma))
+    def first(self, problem: Inversion, estimate: Estimate, choice: Choice, report: Report) -> Fit:
+        """The best fit of some starts: what folds found, and for elements what strains suggest."""
+        prior, settings = choice.prior, self.settings
+        if prior.inclusions:
+            outlined = [prior.again(fit, problem, settings, report) for fit in choice.fits]
+            return min(outlined, key=lambda fit: fit.misfit)
+        starts = [choice.fits[0].z]
+        if prior.gamma < NONE:
+            starts.append(problem.start(softness(estimate.u, problem.model)))
+        fits = [gauss_newton(problem, z, prior.gamma, settings, report) for z in starts]
+        best = min(fits, key=lambda z: problem.cost(z, problem.state(z), prior.gamma))
+        return prior.fit(Fit(problem, best), settings, report)
 
 
 def vague(found: Stiffness, settings: Identification) -> tuple[str, bool]:

@@ -50,7 +50,7 @@ def test_the_derivative_by_each_number():
 
 def test_what_images_ask_for_is_where_it_is_and_is_found():
     problem = seen(pair()[2])
-    first, *_ = no_inclusions(problem, problem.start()).more()
+    first, *_ = no_inclusions(problem, problem.start()).more(1)
     x1, x2, _, contrast, *_ = first.inclusions.p[0]
     assert np.hypot(x1 - DISC.x1, x2 - DISC.x2) < DISC.radius
     assert contrast > 0
@@ -70,7 +70,7 @@ def test_a_second_one_is_added_to_the_first():
     u = true_field(PLAIN.changed(inclusions=parts), Forward(true_cell=2.0))
     found = no_inclusions(seen(u), seen(u).start())
     for _ in parts:
-        found = one_more(found, *SETTINGS)
+        found = one_more(found, 3, *SETTINGS)
     p = found.inclusions.p[np.argsort(found.inclusions.p[:, 0])]
     assert p[:, 0] == pytest.approx([20, 55], abs=1.5)
     assert log_E(p[:, 3]) == pytest.approx(np.log([4, 0.3]), rel=0.2)
@@ -82,7 +82,7 @@ def test_two_that_nearly_touch_are_cut():
     u = true_field(PLAIN.changed(inclusions=tuple(parts)), Forward(true_cell=2.0))
     model = Elastic(PLAIN, PRESSED, 4.0)
     p = np.r_[38, 23, np.log(11), -1.3, -0.9, np.zeros(SIZE - 5)]
-    found = one_more(Inclusions(model, p[None]).on(seen(u)), *SETTINGS)
+    found = one_more(Inclusions(model, p[None]).on(seen(u)), 3, *SETTINGS)
     p = found.inclusions.p[np.argsort(found.inclusions.p[:, 1])]
     assert p[:, 1] == pytest.approx([13, 33], abs=1.5)
     assert p[:, 0] == pytest.approx([38, 38], abs=1.5)
@@ -90,7 +90,7 @@ def test_two_that_nearly_touch_are_cut():
 
 def test_the_step_goes_downhill_along_all_numbers():
     problem = seen(pair()[2])
-    found, *_ = no_inclusions(problem, problem.start()).more()
+    found, *_ = no_inclusions(problem, problem.start()).more(1)
     state = problem.state(found.z)
     G = found.derivative(state)
     slope = 2 * G @ problem.left(state).ravel() + 2 * found.prior * found.values
