@@ -17,6 +17,19 @@ settings.register_profile("eofm", deadline=None, derandomize=True, max_examples=
 settings.load_profile("eofm")
 
 
+# Files that take longest, in this order: none is to be left to one of several processes at the
+# end. The second waits for Slurm while the first takes all cores.
+LONGEST = ["test_workflow", "test_slurm", "test_runs", "test_volumes_in_tiles", "test_analyse"]
+LONGEST += ["test_weight", "test_multigrid", "test_estimate_volumes", "test_forward"]
+LONGEST += ["test_robust", "test_extremes", "test_faults", "test_stiffness", "test_box"]
+LONGEST += ["test_page", "test_steps", "test_choice", "test_cli", "test_figures"]
+
+
+def pytest_collection_modifyitems(items):
+    rank = {name: number for number, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: rank.get(item.path.stem, len(rank)))
+
+
 @pytest.fixture(scope="session")
 def sample():
     """A small sample with a stiff inclusion."""

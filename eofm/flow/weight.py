@@ -37,8 +37,9 @@ STIFF, UP = 1e-3, (1, 4)
 # Misfit, as a part of the least, up to which a weight that other scales ask for is as good.
 EQUAL = 1.1
 # Fewer blocks than these do not tell weights apart well; the finest scale, whose weight nothing
-# else tells, makes do with FEWEST. Where there are fewer than MANY, all are held out by turns.
-BLOCKS, FEWEST, MANY = 20, 8, 256
+# else tells, makes do with FEWEST. Where there are fewer than MANY, all are held out by turns; a
+# block of a volume holds eight times as much.
+BLOCKS, FEWEST, MANY = 20, 8, {2: 256, 3: 64}
 # Pixels around a held-out block that are not used either: the noise of images that were
 # filtered is correlated, and would be fitted on both sides of the border.
 MARGIN = 2
@@ -47,6 +48,9 @@ MARGIN = 2
 # find where motion was lost.
 Blocks = tuple[int, int]
 USUAL, SMALL, FOUND = (BLOCK, MARGIN), (4, 1), STEP**4
+# Weight of volumes, times the first one, above which rounding in single precision outweighs the
+# images. The motion is as good as affine there.
+STIFFEST = 27.0
 # Side of the windows that stand for a large image, or a volume, and for one larger than what, px;
 # and how many there are.
 WINDOW, WINDOWS = {2: (120, 384), 3: (48, 96)}, 5
@@ -55,8 +59,8 @@ WINDOW, WINDOWS = {2: (120, 384), 3: (48, 96)}, 5
 INNER = 2 * BLOCK
 # Part of the windows that goes by the data alone, not by the roughness of the motion.
 EVEN = 0.5
-# Change of v by the last iteration of a trial solve, px.
-ACCURACY = 1e-2
+# Change of v by the last iteration of a trial solve, px; trials are most of the time of a volume.
+ACCURACY = {2: 1e-2, 3: 3e-2}
 # Part of the image's mean data term that is added to all: a window may be black.
 RIDGE = 1e-9
 TINY = float(np.finfo(np.float32).tiny)
@@ -87,11 +91,11 @@ def choose_alpha(
 ) -> "Choice":
     """Weight of the bending energy with the least misfit on held-out blocks, and that to use.
 
-    Goes downhill from ``start`` in factors of 3, then to the vertex of the parabola through
-    the three best in log alpha: four or five solves for each of two quarters that are held
-    out. Of large images, one quarter of some windows does, so that this takes the same time
-    for all; of small ones all quarters are held out. Windows lie where motion is rough and
-    where it is smooth, and count as what they stand for, see `drawn`.
+    Goes downhill from ``start`` in factors of 3, upwards first, then to the vertex of the
+    parabola through the three best in log alpha: four or five solves for each of two quarters
+    that are held out. Of large images, one quarter of some windows does, so that this takes the
+    same time for all; of small ones all quarters are held out. Windows lie where motion is rough
+    and where it is smooth, and count as what they stand for, see `drawn`.
 
     Motion that varies within a few structures of the image has two minima: large weights
     smooth it away, those between follow some of it wrongly, and small ones find it. So
@@ -187,10 +191,11 @@ def least_misfit(
 
     def downhill(first: int) -> int:
         k = first
-        while (better := min((k - 1, k + 1), key=misfit)) and misfit(better) < misfit(k):
-            if abs(better - first) > FARTHEST:
+        for step in (1, -1):  # larger weights first: their solves are cheaper
+            while abs(k + step - first) <= FARTHEST and misfit(k + step) < misfit(k):
+                k += step
+            if k != first:
                 break
-            k = better
         return k
 
     k = downhill(0)
@@ -232,11 +237,14 @@ class Trial:
         terms = match.density(about, ~around(out, margin))
         self.terms = Pointwise(terms.A + ridge * unit(terms.b), terms.b)
         self.prescribed, self.v = prescribed, np.zeros_like(about)
+        single = terms.A.dtype == np.float32
+        self.most = STIFFEST * first_alpha(match) if single else math.inf
 
     def misfit(self, alpha: float) -> float:
         """Sum of the squared residual on the pixels that are held out, as often as each counts."""
+        alpha = min(alpha, self.most)
         F = Quadratic(self.match.grid, self.terms, alpha, self.free, "bending")
-        self.v = multigrid(F.shifted(self.prescribed), change=ACCURACY, initial=self.v)
+        self.v = multigrid(F.shifted(self.prescribed), change=ACCURACY[len(self.v)], initial=self.v)
         r = self.match.residual(self.about + self.prescribed + self.v)
         return float(np.sum(self.counts * r**2))
 
@@ -252,7 +260,7 @@ def around(mask: Mask, margin: int) -> Mask:
 
 def folds(shape: tuple[int, ...], windows: int) -> tuple[int, ...]:
     """Quarters that are held out by turns."""
-    if math.prod(shape) < MANY * BLOCK ** len(shape):
+    if math.prod(shape) < MANY[len(shape)] * BLOCK ** len(shape):
         return 0, 1, 2, 3
     return (0, 2) if windows == 1 else (0,)
 

@@ -283,7 +283,7 @@ def test_a_sample_is_identified_with_the_motion_that_the_images_show(tmp_path):
     assert tifffile.imread(tmp_path / "stiffness.tif").shape == found.first.shape
     assert tifffile.imread(tmp_path / "stiffness_deviation.tif").min() > 0
     assert tifffile.imread(tmp_path / "deviation.tif").shape == found.u.shape
-    analyse(describe(tmp_path, error_bars=0), estimation=QUICK).write(tmp_path)
+    analyse(describe(tmp_path, error_bars=0), estimation=QUICK).write(tmp_path, kinds=())
     assert not (tmp_path / "stiffness.tif").exists()
     assert not (tmp_path / "deviation.tif").exists()
 
@@ -320,7 +320,7 @@ def test_a_pair_that_has_nothing_in_common_is_told_in_the_results(rng, tmp_path)
 
     results = eofm.analyse(*(speckle((64, 80), rng) for _ in range(2)))
     assert results.trust.verdict == "failed"
-    results.write(tmp_path)
+    results.write(tmp_path, kinds=())
     told = json.loads((tmp_path / "summary.json").read_text())["trust"][0]
     assert told["verdict"] == "failed"
     assert told["reasons"]
@@ -329,7 +329,7 @@ def test_a_pair_that_has_nothing_in_common_is_told_in_the_results(rng, tmp_path)
 def test_dead_zones_hold_no_number_in_what_is_written(files, truth):
     sides = {"lateral_size": 2.0, "axial_size": 2.0}
     results = analyse(describe(files, mask="10,10 30,10 30,30 10,30", **sides), estimation=QUICK)
-    results.write(files)
+    results.write(files, kinds=())
     for name in ("displacement", "displacement_um", "strain", "deviation", "trust"):
         written = tifffile.imread(files / f"{name}.tif")
         assert np.isnan(written[..., 20, 20]).all(), name

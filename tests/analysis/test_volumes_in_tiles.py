@@ -23,7 +23,7 @@ from eofm.errors import InputError
 from eofm.io.formats import read_array
 from eofm.settings import Estimation, Pair, Tiling
 
-SHAPE = (64, 96, 80)
+SHAPE = (64, 64, 64)
 OVERLAP = 16
 SIDES = {"lateral_size": 5.0, "axial_size": 4.0, "elevational_size": 5.0}
 

@@ -131,7 +131,7 @@ def test_what_cannot_be_is_refused_in_one_line(scans, results, capsys, more, mes
 
 
 def test_several_values_in_one_word_are_split(scans, tmp_path):
-    assert main(words(scans, tmp_path / "r", "--roi", "5 0 40 36")) == 0
+    assert main(words(scans, tmp_path / "r", "--roi", "5 0 40 36", "--figures", "none")) == 0
     assert tifffile.imread(tmp_path / "r" / "displacement.tif").shape == (2, 36, 40)
 
 

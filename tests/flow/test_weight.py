@@ -6,10 +6,10 @@ import pytest
 from eofm.flow.estimate import estimate_displacement
 from eofm.flow.functional import Quadratic
 from eofm.flow.known import Known
-from eofm.flow.matching import ImagePair, held_out
+from eofm.flow.matching import ImagePair, Match, held_out
 from eofm.flow.multigrid import multigrid
 from eofm.flow.roughness import ease, squared_bending
-from eofm.flow.weight import choose_alpha, drawn
+from eofm.flow.weight import choose_alpha, drawn, first_alpha
 from eofm.grid import Grid
 from eofm.settings import Estimation, Phantom
 from eofm.simulation.phantom import make_phantom
@@ -87,6 +87,16 @@ def test_motion_is_not_made_affine_where_all_large_weights_are_as_good(shape):
     u = np.stack(waves[: len(shape)])
     found = estimate_displacement(*speckle(u, count=u[0].size // 15, noise=0.02, seed=1))
     assert relative(found.u, u) < 0.2
+
+
+def test_weights_of_volumes_end_where_rounding_would_outweigh_the_images():
+    """Single precision cannot tell an affine motion from others there, and solves diverge."""
+    rng, shape = np.random.default_rng(0), (25, 21, 29)
+    u, free = np.zeros((3, *shape), np.float32), np.ones(shape, dtype=bool)
+    g, r = (rng.normal(size=f.shape).astype(np.float32) for f in (u, u[0]))
+    match = Match(Grid(shape), u, g, r, free)
+    start = 3.0**8 * first_alpha(match)
+    assert np.isfinite(choose_alpha(match, u, u, free, start).alpha)
 
 
 def test_a_larger_weight_of_coarser_scales_counts_as_far_as_the_misfit_allows():

@@ -64,12 +64,17 @@ def test_one_bubble_far_from_all_others_does_not_decide():
     assert strongest(chosen, 0.5).prior.gamma == 0.3
 
 
-def test_priors_that_are_not_ruled_out_are_rivals():
+@pytest.fixture(scope="module")
+def chosen():
+    """What held-out bubbles of the pressed sample choose."""
     I1, I2, _ = pair()
-    found = identify_stiffness(I1, I2, PLAIN)
-    assert len(found.choice.rivals) < 12
-    z = found.choice.fits[0].z
-    assert all(not np.array_equal(rival[0].z, z) for rival in found.choice.rivals)
+    return identify_stiffness(I1, I2, PLAIN).choice
+
+
+def test_priors_that_are_not_ruled_out_are_rivals(chosen):
+    assert len(chosen.rivals) < 12
+    z = chosen.fits[0].z
+    assert all(not np.array_equal(rival[0].z, z) for rival in chosen.rivals)
 
 
 def test_a_contrast_within_its_error_bars_is_refused(monkeypatch):
@@ -79,6 +84,8 @@ def test_a_contrast_within_its_error_bars_is_refused(monkeypatch):
     found = identify_stiffness(I1, I2, PLAIN)
     assert not found.refused
     clear = found.clarity
+    # All that was chosen before error bars are asked is the same.
+    monkeypatch.setattr(stiffness.Setup, "choose", lambda *_: (found.choice, ""))
     vague = identify_stiffness(I1, I2, PLAIN, Identification(clarity=1.1 * clear))
     assert "error bars" in vague.refused
     assert not vague.alone
@@ -116,10 +123,11 @@ def _exact_for_preset(losses):
 
 
 @pytest.mark.parametrize("better", [True, False])
-def test_the_elastic_field_is_taken_where_it_predicts_better_than_test_6(monkeypatch, better):
+def test_the_elastic_field_is_taken_where_it_predicts_better_than_test_6(
+    monkeypatch, chosen, better
+):
     I1, I2, _ = pair()
-    # The preset predicts no better; then the question of the elastic field.
-    answers = iter([False, better])
-    monkeypatch.setattr(stiffness, "clearly_better", lambda a, b, clear: next(answers))
+    monkeypatch.setattr(stiffness.Setup, "choose", lambda *_: (chosen, ""))
+    monkeypatch.setattr(stiffness, "clearly_better", lambda a, b, clear: better)
     found = identify_stiffness(I1, I2, PLAIN)
     assert np.array_equal(found.estimate.u, found.elastic) == better

@@ -86,6 +86,9 @@ def project(tmp_path_factory, pytestconfig):
     lines = ["\t".join(row + [""] * (9 - len(row))).rstrip("\t") for row in ROWS]
     (project.root / "pairs.tsv").write_text("\n".join(lines) + "\n")
     project.result = project.run(
+        # Snakemake looks at its jobs once in a timespan for each job that has ended: by default
+        # a hundred times a second in the end, which takes a seventh of a core.
+        *("--max-jobs-per-timespan", "100/5s"),
         *("--cores", "2", "all", "accuracy", "samples", "virtual_oct"),
         *("ensemble", "benchmark", "studies", "volume", "benchmark_volume"),
         *("--config", "samples=pairs.tsv"),

@@ -15,4 +15,7 @@ for (case, size), rows in table.groupby(["case", "size"], sort=False):
     rows = rows.drop(columns=["case", "size"]).set_index(rows.tool.str.replace(" ", "_"))
     rows = rows.drop(columns="tool")
     values[f"{case}_{size}"] = {tool: row.dropna().to_dict() for tool, row in rows.iterrows()}
-record(Path(snakemake.output[0]), snakemake.params.command, values)
+# The sizes that were run, which may be fewer than the configuration's.
+sizes = sorted(set(table["size"].astype(int)))
+command = f"{snakemake.params.command} --config 'benchmark_volume={{sizes: {sizes}}}'"
+record(Path(snakemake.output[0]), command, values)

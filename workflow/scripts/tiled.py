@@ -1,4 +1,8 @@
-"""Rows of the table of samples that are volumes in tiles: how many jobs, and how large."""
+"""Rows of the table of samples that are volumes in tiles: how many jobs, and how large.
+
+The module of tiles is imported where there are any: it takes most of a second, of each job on a
+cluster too.
+"""
 
 import math
 from pathlib import Path
@@ -7,7 +11,6 @@ from commands import sample_files
 
 from eofm import io
 from eofm.errors import InputError
-from eofm.flow.tiles import counts_at, cut, shape_of, tiled_scales
 from eofm.settings import Estimation, Tiling
 
 Row = dict[str, str]
@@ -23,6 +26,8 @@ def tiled(samples: dict[str, Row]) -> dict[str, Row]:
 
 def counts(row: Row, level: int = 0) -> tuple[int, ...]:
     """Numbers of tiles along the axes; one where a row says nonsense, as its first job will say."""
+    from eofm.flow.tiles import counts_at
+
     try:
         return counts_at(Tiling.count(row["tiles"]), level, _factor(row))
     except InputError:
@@ -31,6 +36,8 @@ def counts(row: Row, level: int = 0) -> tuple[int, ...]:
 
 def levels(row: Row) -> int:
     """How many scales are solved in tiles."""
+    from eofm.flow.tiles import tiled_scales
+
     return tiled_scales(counts(row), _factor(row))
 
 
@@ -51,6 +58,8 @@ def _factor(row: Row) -> float:
 
 def voxels(row: Row) -> int:
     """Voxels of a tile with its overlap, as the header of the volume says."""
+    from eofm.flow.tiles import cut, shape_of
+
     whole = max((Path(f).stat().st_size for f in sample_files(row) if Path(f).is_file()), default=0)
     whole = whole or 1_000_000
     try:
