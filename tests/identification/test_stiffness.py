@@ -1,5 +1,7 @@
 """The identified stiffness of samples and of parts of them."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from pressed import DISC, PLAIN, PRESSED, pair
@@ -12,7 +14,8 @@ from eofm.flow.estimate import estimate_displacement
 from eofm.flow.known import Known
 from eofm.grid import faces
 from eofm.identification.inversion import Inversion
-from eofm.identification.stiffness import identify_stiffness
+from eofm.identification.stiffness import _scale, identify_stiffness
+from eofm.settings import Identification
 from eofm.threads import serial
 
 pytestmark = pytest.mark.slow
@@ -94,6 +97,16 @@ def test_edges_that_move_otherwise_than_said_are_fitted(wrong):
     free = estimate_displacement(I1, I2)
     errors = [relative_errors(v, u)["e_rel"] for v in (found.estimate.u, free.u)]
     assert errors[0] < errors[1]
+
+
+@pytest.mark.parametrize(("error", "scale"), [(0.01, 0.94), (0.2, 1.0)])
+def test_edges_are_scaled_where_the_images_ask_for_it_more_clearly_than_noise_would(error, scale):
+    """The bottom seems to move by 1.88 px instead of 2, and one edge may be off by an error."""
+    stated = pair()[2]
+    wrong = np.zeros_like(stated)
+    wrong[1, 24:] = error
+    free = SimpleNamespace(u=0.94 * stated, samples=lambda count: [wrong, -wrong] * (count // 2))
+    assert _scale(free, stated, PRESSED, Identification()) == pytest.approx(scale)
 
 
 def test_edges_that_the_images_contradict_are_refused():
