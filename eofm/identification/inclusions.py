@@ -21,10 +21,10 @@ WIDTH = 6
 DISC = 0.1
 # Steps after which the best of several is told.
 BRIEF = 8
-# Harmonics of an outline, and their standard deviations before the images are seen: an ellipse
+# Harmonics of an outline, and their standard deviations before the images are seen; an ellipse
 # whose axes are as 2 to 1 has 0.33 of the second and 0.06 of the fourth.
 HARMONICS = np.arange(2, 7)
-SPREADS = HARMONICS**-2.5
+SPREADS = 0.5 * HARMONICS**-2.5
 # Standard deviation of m; of places and radii, which the images must say, no one is known.
 CONTRAST = 2.0
 # Middle (2), log radius, m, and the cosines and sines of an inclusion.
