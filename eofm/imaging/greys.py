@@ -19,9 +19,11 @@ from eofm.imaging.intensity import (
     Levels,
     bumps,
     defects,
+    few,
     filled,
-    highlights,
+    level,
     normalise,
+    peaks,
 )
 from eofm.io import windows
 
@@ -147,45 +149,42 @@ def _extremes(raw: Raw, k: int, shape: tuple[int, ...], most: int) -> tuple[floa
 
 def _levels(read: Callable[[Window], Array], shape: tuple[int, ...], most: int) -> Levels | None:
     """Those of an image from 0 to 1, if there are defects in it."""
-    from scipy import ndimage
-
-    values, peaks, steep = (np.zeros(STEPS + 1, np.int64) for _ in range(3))
-    size, steepest, saturated = int(np.prod(shape)), 2.0 * len(shape), 0
+    values, every, single, flat, steep = (np.zeros(STEPS + 1, np.int64) for _ in range(5))
+    size, steepest = int(np.prod(shape)), 2.0 * len(shape)
     for window in windows(shape, most):
-        around, inner = grown(window, PEAK // 2, shape)
+        around, inner = grown(window, PEAK - 1, shape)
         I = read(around)
-        peak = (ndimage.maximum_filter(I, PEAK) <= I)[inner]
         steep += _counts(bumps(I)[inner] / steepest)
-        I = I[inner]
-        values += _counts(I)
-        peaks += _counts(I[peak])
-        saturated += int(np.count_nonzero(I == 1))
+        for counts, found in zip((every, single), peaks(I), strict=True):
+            counts += _counts(I[inner][found[inner]])
+        for axis in range(I.ndim):
+            flat += _counts(np.delete(I, -1, axis)[level(I, axis)])
+        values += _counts(I[inner])
     median = _quantile(values, 0.5)
-    peaks[: int(STEPS * median) + 1] = 0
-    if not peaks.any():
+    for counts in (every, single, flat):
+        counts[: int(STEPS * median) + 1] = 0
+    if not every.any():
         return None
-    highlight, top = HIGHLIGHT * (_quantile(peaks, 0.75) - median), 0.0
-    if median + highlight >= 1 and saturated < LINE:
-        highlight = top = np.inf
+    highlight, lines = HIGHLIGHT * (_quantile(every, 0.75) - median), bool(flat.sum() >= LINE - 1)
+    largest = _quantile(values, 1) - median
+    if highlight > largest and few(int(single.sum()), shape):
+        highlight = HIGHLIGHT * (_quantile(single, 0.75) - median)
+    if highlight > largest:
+        highlight = np.inf
     bump = IMPULSE * steepest * _quantile(steep, 0.75)
     if not 0 < steep[int(STEPS * bump / steepest) + 1 :].sum() < 2 * RARE * size:
         bump = np.inf
-    for window in windows(shape, most) if np.isfinite(highlight) else ():
-        around, inner = grown(window, REACH, shape)
-        above = read(around) - median
-        lit = highlights(above, highlight)[inner]
-        top = max(top, float(np.max(above[inner], where=~lit, initial=0.0)))
-    levels, marked, single = Levels(median, highlight, top, bump), 0, 0
-    for window in windows(shape, most) if np.isfinite([highlight, bump]).any() else ():
+    levels, marked, alone = Levels(median, highlight, lines, bump), 0, 0
+    for window in windows(shape, most) if levels.any else ():
         around, inner = grown(window, REACH, shape)
         I = read(around)
         marked += int(np.count_nonzero(levels.marked(I)[inner]))
-        single += int(np.count_nonzero(levels.single(I)[inner]))
+        alone += int(np.count_nonzero(levels.single(I)[inner]))
     if not 0 < marked < RARE * size:
-        levels = levels._replace(highlight=np.inf, top=np.inf)
-    if not 0 < single < RARE * size:
+        levels = levels._replace(highlight=np.inf, lines=False)
+    if not 0 < alone < RARE * size:
         levels = levels._replace(bump=np.inf)
-    return levels if np.isfinite([levels.highlight, levels.bump]).any() else None
+    return levels if levels.any else None
 
 
 def _counts(I: Array) -> NDArray[np.int64]:

@@ -17,12 +17,14 @@ from eofm.settings import LARGEST, LEAST
 # A highlight is so many times as high above the median as three in four local maxima are, which
 # are the brightest of squares of PEAK px; and its surroundings, px, are none the better.
 HIGHLIGHT, PEAK, MARGIN = 4.0, 5, 2
+# An image of large structures has less than one maximum in so many of these squares.
+SPACIOUS = 8
 # Where there are more of them, that is what the sample looks like: of the whole, and of a Gaussian
 # window of a width, px. The skin is as bright, in a scan that shows air above it.
 RARE = 0.05
 ISOLATED, NEIGHBOURHOOD = 0.02, 16.0
-# Length of a line of saturated pixels that no structure makes, px, if not more than a part of the
-# pixels that touch it is saturated: structures that are clipped are ragged.
+# Length of a bright line of one value that no structure makes, px, if not more than a part of the
+# pixels that touch it has that value: structures that are clipped are ragged.
 LINE, RAGGED = 32, 0.25
 # Speckle of linear intensity: sides of blocks, px; the contrast in them, whose theory is 0.52 for
 # amplitudes and 1 for intensities; how fast it grows with their mean, which is not at all after a
@@ -124,47 +126,44 @@ class Levels(NamedTuple):
     Attributes
     ----------
     median : float
-    highlight, top : float
-        Heights above the median: of highlights, and of what saturates; infinite for none.
+    highlight : float
+        Height of highlights above the median; infinite for none.
+    lines : bool
+        Whether there may be saturated lines.
     bump : float
         Sum of second differences of an impulse; infinite for none.
     """
 
     median: float
     highlight: float
-    top: float
+    lines: bool
     bump: float
 
     @classmethod
     def of(cls, I: Array) -> "Levels | None":
         """Return those of an image or a volume; None if it has no peaks."""
-        # Its import takes a tenth of a short estimate.
-        from scipy import ndimage
-
         median = np.median(I)
-        above = I - median
-        peaks = above[(ndimage.maximum_filter(I, PEAK) <= I) & (above > 0)]
-        if not peaks.size:
+        every, single = (above[above > 0] for above in (I[found] - median for found in peaks(I)))
+        if not every.size:
             return None
-        highlight = HIGHLIGHT * np.quantile(peaks, 0.75)
-        lit = highlights(above, highlight)
-        top = np.max(above, where=~lit, initial=0.0)
+        highlight = HIGHLIGHT * np.quantile(every, 0.75)
+        if highlight > every.max() and few(single.size, I.shape):
+            highlight = HIGHLIGHT * np.quantile(single, 0.75)
         steep = bumps(I)
         bump = IMPULSE * np.quantile(steep.ravel()[:: max(1, steep.size // CHUNK)], 0.75)
-        return cls(median, highlight, top, bump if rare(steep > bump, 2 * RARE) else np.inf)
+        return cls(median, highlight, True, bump if rare(steep > bump, 2 * RARE) else np.inf)
+
+    @property
+    def any(self) -> bool:
+        """Whether there may be defects."""
+        return self.lines or bool(np.isfinite([self.highlight, self.bump]).any())
 
     def marked(self, I: Array) -> Mask:
         """Pixels of highlights and saturated lines."""
-        from scipy import ndimage
-
         above = I - self.median
         found = highlights(above, self.highlight)
-        top = (above >= self.top).view(np.uint8)
-        for axis in range(I.ndim if np.count_nonzero(top) >= LINE else 0):
-            # A line is what a segment of LINE pixels can cover: of an opening, both steps.
-            starts = ndimage.minimum_filter1d(top, LINE, axis, mode="constant")
-            lines = ndimage.maximum_filter1d(starts, LINE, axis, mode="constant", origin=-1)
-            found |= _smooth_edged(lines.view(bool), top.view(bool))
+        if self.lines:
+            found |= _lines(I, above > 0)
         return found
 
     def single(self, I: Array) -> Mask:
@@ -183,6 +182,37 @@ class Levels(NamedTuple):
         least = np.maximum(ALONE * sign * (I[at] - middle), CLEAR * (around[-3] - around[2]))
         found[at] = sign * I[at] - second > least
         return found
+
+
+def peaks(I: Array) -> tuple[Mask, Mask]:
+    """Local maxima, the brightest of squares of PEAK px: all their pixels, and one of a plateau.
+
+    Of an image of large structures, which has few maxima, those of highlights may have the most
+    pixels, for they are flat; then nothing is high enough for one.
+    """
+    # Its import takes a tenth of a short estimate.
+    from scipy import ndimage
+
+    reach = PEAK // 2
+    found: Mask = ndimage.maximum_filter(I, PEAK) <= I
+    at, before = np.nonzero(found), np.pad(found, reach)
+    first = np.ones(len(at[0]), dtype=bool)
+    for offsets in product(range(-reach, reach + 1), repeat=I.ndim):
+        if offsets < (0,) * I.ndim:
+            first &= ~before[tuple(k + o + reach for k, o in zip(at, offsets, strict=True))]
+    single = np.zeros_like(found)
+    single[at] = first
+    return found, single
+
+
+def few(count: int, shape: tuple[int, ...]) -> bool:
+    """Whether an image has so few maxima that highlights may be many of them."""
+    return count * SPACIOUS * PEAK ** len(shape) < np.prod(shape)
+
+
+def level(I: Array, axis: int) -> Mask:
+    """Pixels of the value of the next one along an axis, shape shorter by one."""
+    return np.diff(I, axis=axis) == 0
 
 
 def bumps(I: Array) -> Array:
@@ -229,18 +259,37 @@ def defects(I: Array, levels: Levels | None = None) -> Mask:
     return single
 
 
-def _smooth_edged(lines: Mask, top: Mask) -> Mask:
-    """Those of some lines that few pixels touch which are saturated as well."""
+def _lines(I: Array, bright: Mask) -> Mask:
+    """Bright lines of one value.
+
+    A saturated one need not be the brightest: highlights may be brighter.
+    """
     from scipy import ndimage
 
-    label, count = ndimage.label(lines, ndimage.generate_binary_structure(lines.ndim, lines.ndim))
-    if not count:
+    lines = np.zeros(I.shape, dtype=bool)
+    for axis in range(I.ndim):
+        before, after = (
+            tuple(part if k == axis else slice(None) for k in range(I.ndim))
+            for part in (slice(-1), slice(1, None))
+        )
+        same = level(I, axis) & bright[before]
+        if np.count_nonzero(same) >= LINE - 1:
+            # What a segment of that length can cover: of an opening, both steps.
+            starts = ndimage.minimum_filter1d(same.view(np.uint8), LINE - 1, axis, mode="constant")
+            same = ndimage.maximum_filter1d(starts, LINE - 1, axis, mode="constant").view(bool)
+            lines[before] |= same
+            lines[after] |= same
+    if not lines.any():
         return lines
+    # Few pixels that touch one have its value.
+    label, count = ndimage.label(lines, ndimage.generate_binary_structure(lines.ndim, lines.ndim))
+    value = np.zeros(count + 1, I.dtype)
+    value[label[lines]] = I[lines]
     wider = ndimage.maximum_filter(label, 3)
     wider[lines] = 0
     touching = np.bincount(wider.ravel(), minlength=count + 1)
-    saturated = np.bincount(wider[top], minlength=count + 1)
-    smooth: Mask = saturated <= RAGGED * touching
+    alike = np.bincount(wider[value[wider] == I], minlength=count + 1)
+    smooth: Mask = alike <= RAGGED * touching
     smooth[0] = False
     return smooth[label]
 
