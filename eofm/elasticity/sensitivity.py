@@ -185,13 +185,19 @@ class Elastic:
         return State(self, E, factor, u)
 
     def forces(self, E: Array, u: Array) -> Array:
-        """Forces ``E_e K_e u`` on each element, shape (elements, 8)."""
-        return E[:, None] * (u[self.dofs] @ self.element_matrix)
+        """Forces ``E_e K_e u`` on each element, shape (..., elements, 8)."""
+        return E[:, None] * (u[..., self.dofs] @ self.element_matrix)
 
     def assemble(self, forces: Array) -> Array:
-        """Sum at the nodes of forces on elements, shape (elements, 8)."""
-        total = np.bincount(self.dofs.ravel(), forces.ravel(), 2 * self._node_order.size)
-        return np.asarray(total, dtype=np.float64)
+        """Sum at the nodes of forces on elements, shape (..., elements, 8)."""
+        shape = *forces.shape[:-2], 2 * self._node_order.size
+        return (self._sums @ forces.reshape(-1, self.dofs.size).T).T.reshape(shape)
+
+    @cached_property
+    def _sums(self) -> sp.csr_array:
+        """Matrix of the sums at the nodes."""
+        entries = np.ones(self.dofs.size), (self.dofs.ravel(), np.arange(self.dofs.size))
+        return sp.csr_array(entries, (2 * self._node_order.size, self.dofs.size))
 
     @cached_property
     def _places(self) -> tuple[NDArray[np.intp], NDArray[np.intp], tuple[int, int]]:
@@ -209,9 +215,10 @@ class Elastic:
         return entry, (row - column) * n + column, (int(np.max(row - column)) + 1, n)
 
     def to_pixels(self, u: Array) -> Array:
-        """Cubic splines through nodal values at the pixels, shape (2, height, width)."""
+        """Cubic splines through nodal values at the pixels, shape (..., 2, height, width)."""
         S2, S1 = self._interpolation
-        return np.stack([S2 @ u[i::2][self._node_order] @ S1.T for i in (0, 1)])
+        parts = [S2 @ u[..., i::2][..., self._node_order] @ S1.T for i in (0, 1)]
+        return np.stack(parts, axis=-3)
 
     def from_pixels(self, f: Array) -> Array:
         """Adjoint of `to_pixels`."""
@@ -264,11 +271,12 @@ class State:
     u: Array
 
     def derivative(self, d: Array, more: Array | None = None) -> Array:
-        """Change of ``u`` at the pixels for a change ``d`` of log E, to first order.
+        """Change of ``u`` at the pixels for a change ``d`` of log E, or for a stack of them.
 
-        ``K du = - sum_e d_e E_e K_e u``, where the edges' motion changes by ``more``, if given.
+        To first order: ``K du = - sum_e d_e E_e K_e u``, where the edges' motion changes by
+        ``more``, if given.
         """
-        f = -d.reshape(-1, 1) * self._forces
+        f = -d.reshape(*d.shape[:-2], -1, 1) * self._forces
         if more is None:
             return self.model.to_pixels(self._inverse(self.model.assemble(f)))
         f -= self.model.forces(self.E, more)
@@ -295,5 +303,5 @@ class State:
     def _inverse(self, f: Array) -> Array:
         free = ~self.model.prescribed[0]
         w = np.zeros_like(f)
-        w[free] = cho_solve_banded((self.factor, True), f[free], check_finite=False)
+        w[..., free] = cho_solve_banded((self.factor, True), f[..., free].T, check_finite=False).T
         return w

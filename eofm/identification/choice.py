@@ -7,7 +7,7 @@ import numpy as np
 
 from eofm.grid import Array
 from eofm.identification.folds import Folds
-from eofm.identification.inclusions import Outlined, no_inclusions, outline
+from eofm.identification.inclusions import Outlined, no_inclusions, one_more, outline
 from eofm.identification.inversion import Inversion, Report, gauss_newton
 from eofm.settings import Identification
 
@@ -22,6 +22,8 @@ SHARPER = (27.0, 9.0, 3.0)
 ROUNDS = 3
 # Inclusions that are sought, at most.
 MOST = 6
+# Places at which each is tried: neither way always ends at the best ones, and bubbles tell.
+PLACES = 1, 3
 # Gain below which fits that are only compared stop, in units of ``least_gain``: they rank weights
 # long before they have converged.
 COMPARED = 4.0
@@ -51,6 +53,11 @@ class Fit:
         """Its displacement, shape (2, height, width), true lengths."""
         return self.problem.u(self.problem.state(self.z))
 
+    @property
+    def misfit(self) -> float:
+        """What its displacement leaves of the images, squared, in variances of their noise."""
+        return float((self.problem.left(self.problem.state(self.z)) ** 2).sum())
+
 
 @dataclass(frozen=True)
 class Prior:
@@ -64,11 +71,14 @@ class Prior:
         If not 0, outlines are relaxed afterwards, with the weight times this.
     inclusions : int
         If not 0, the modulus is that of so many inclusions with smooth outlines instead.
+    places : int
+        At how many places each of them is tried.
     """
 
     gamma: float
     sharper: float = 0.0
     inclusions: int = 0
+    places: int = 1
 
     def fit(self, start: Fit, settings: Identification, report: Report) -> Fit:
         """Return what an inversion finds from the fit with another prior."""
@@ -76,7 +86,7 @@ class Prior:
         if self.inclusions:
             found = start.outlined or no_inclusions(problem, z)
             for _ in range(self.inclusions - found.inclusions.count):
-                found = outline(found.more(), settings, report)
+                found = one_more(found, self.places, settings, report)
             return Fit(problem, found.z, found)
         z = gauss_newton(problem, z, self.gamma, settings, report)
         for _ in range(ROUNDS if self.sharper else 0):
@@ -87,7 +97,7 @@ class Prior:
     def again(self, fit: Fit, problem: Inversion, settings: Identification, report: Report) -> Fit:
         """Return what an inversion about another estimate finds from the fit of one before."""
         if fit.outlined:
-            found = outline(replace(fit.outlined, problem=problem), settings, report)
+            found = outline(fit.outlined.inclusions.on(problem), settings, report)
             return Fit(problem, found.z, found)
         problem = replace(problem, weights=fit.problem.weights)
         return Fit(problem, gauss_newton(problem, fit.z, self.weight, settings, report))
@@ -168,9 +178,14 @@ def choose(
         tried.append(attempt(Prior(tried[-1].prior.gamma / STEP), tried[-1].fits))
     found = strongest(tried, settings.clear)
     gamma = found.prior.gamma
-    shaped = [attempt(Prior(gamma, inclusions=1), none.fits)]
-    while len(shaped) < MOST and going(shaped):
-        shaped.append(attempt(Prior(gamma, inclusions=len(shaped) + 1), shaped[-1].fits))
+    shaped = list[Choice]()
+    for places in PLACES:
+        row = [attempt(Prior(gamma, inclusions=1, places=places), none.fits)]
+        while len(row) < MOST and going(row):
+            more = replace(row[-1].prior, inclusions=len(row) + 1)
+            row.append(attempt(more, row[-1].fits))
+        shaped += row
+    shaped.sort(key=lambda choice: (choice.prior.inclusions, choice.score))
     simple, sharp = strongest(shaped, RIVAL), list[Choice]()
     if clearly_better(found.losses, simple.losses, RIVAL):
         middle = attempt(Prior(gamma, SHARPER[1]), found.fits)

@@ -19,10 +19,12 @@ from eofm.settings import Identification
 WIDTH = 6
 # Radius and distance of the discs that may become inclusions, as a part of the root of the area.
 DISC = 0.1
-# Harmonics of an outline, and their standard deviations before the images are seen: an ellipse
+# Steps after which the best of several is told.
+BRIEF = 8
+# Harmonics of an outline, and their standard deviations before the images are seen; an ellipse
 # whose axes are as 2 to 1 has 0.33 of the second and 0.06 of the fourth.
 HARMONICS = np.arange(2, 7)
-SPREADS = HARMONICS**-2.5
+SPREADS = 0.5 * HARMONICS**-2.5
 # Standard deviation of m; of places and radii, which the images must say, no one is known.
 CONTRAST = 2.0
 # Middle (2), log radius, m, and the cosines and sines of an inclusion.
@@ -31,6 +33,10 @@ FIRST_SINE = 4 + len(HARMONICS)
 PRIOR = np.r_[np.zeros(3), CONTRAST**-2.0, np.tile(SPREADS**-2.0, 2)]
 # Second harmonic of an outline that may be of two inclusions.
 LONG = 0.5
+# Part of the least gain at which fits of so few numbers stop: they creep along valleys.
+FEW = 0.02
+# Numbers by which is differentiated at a time.
+TOGETHER = 16
 # Largest change of m and of a log radius in one step.
 STEP = 0.7
 
@@ -87,6 +93,10 @@ class Inclusions:
         discs = [np.r_[x + side * apart, rest] for side in (-1, 1)]
         return replace(self, p=np.vstack([np.delete(self.p, k, axis=0), discs]))
 
+    def on(self, problem: Inversion) -> "Outlined":
+        """The same in an inversion on other elements, whose edges move as first guessed."""
+        return replace(self, model=problem.model).outlined(problem, problem.start())
+
     def outlined(self, problem: Inversion, z: Array) -> "Outlined":
         """The same in an inversion, whose edges move as ``z`` says."""
         parts, elements = self.parts, problem.elements
@@ -142,15 +152,15 @@ class Outlined:
         n = len(self.by)
         return np.r_[d[:n] @ self.by, d[n:]]
 
-    def more(self) -> "Outlined":
-        """The same with one more inclusion.
+    def more(self, places: int) -> list["Outlined"]:
+        """The same with one more inclusion, in ways that promise to take most off the misfit.
 
-        A very long one, which may be two, is cut; if there is none, a disc is added where it takes
-        most off the misfit, to first order.
+        A very long one, which may be two, is cut; if there is none, a disc is added at each of some
+        places where it does so to first order, not close to each other.
         """
         problem, p = self.problem, self.inclusions.p
         if len(p) and np.hypot(p[:, 4], p[:, FIRST_SINE]).max() > LONG:
-            return self.inclusions.cut().outlined(problem, self.z)
+            return [self.inclusions.cut().outlined(problem, self.z)]
         state = problem.state(self.z)
         right = problem.back(self.z, state, problem.misfit(state))
         shape, sides = problem.model.shape[::-1], problem.model.sides
@@ -162,36 +172,49 @@ class Outlined:
             disc = np.r_[middle, np.log(radius), 1.0, np.zeros(SIZE - 4)]
             ((m, _),) = replace(self.inclusions, p=disc[None]).parts
             d = np.r_[m, np.zeros(self.edges)]
-            u = problem.forth(self.z, state, d)
             slope = float(d @ right)
-            curvature = float((problem.data.product(u) * u).sum()) + CONTRAST**-2
+            seen = problem.seen(problem.forth(self.z, state, d))
+            curvature = float((seen**2).sum()) + CONTRAST**-2
             disc[3] = np.clip(slope / curvature, -STEP, STEP)
             found.append((slope**2 / curvature, disc))
-        _, disc = max(found, key=lambda pair: pair[0])
-        return replace(self.inclusions, p=np.vstack([p, disc])).outlined(problem, self.z)
+        kept: list[Array] = []
+        for _, disc in sorted(found, key=lambda pair: -pair[0]):
+            apart = (np.hypot(*(disc[:2] - other[:2])) > 1.5 * radius for other in kept)
+            if len(kept) < places and all(apart):
+                kept.append(disc)
+        more = (replace(self.inclusions, p=np.vstack([p, disc])) for disc in kept)
+        return [inclusions.outlined(problem, self.z) for inclusions in more]
 
     def derivative(self, state: State) -> Array:
-        """Of the displacement by each number, shape (numbers, 2, height, width)."""
-        return np.stack(
-            [self.problem.forth(self.z, state, self.change(d)) for d in np.eye(self.prior.size)]
-        )
-
-    def hessian(self, J: Array) -> Array:
-        """Gauss-Newton's, without the prior."""
-        A = np.stack([self.problem.data.product(u) for u in J])
-        H: Array = J.reshape(len(J), -1) @ A.reshape(len(J), -1).T
-        return H
+        """Of what is left of the images by each number, shape (numbers, pixels)."""
+        problem, size = self.problem, self.prior.size
+        G = np.empty((size, problem.r.size))
+        for first in range(0, size, TOGETHER):
+            some = slice(first, first + TOGETHER)
+            d = np.stack([self.change(d) for d in np.eye(size)[some]])
+            seen = problem.seen(problem.forth(self.z, state, d))
+            G[some] = seen.reshape(len(seen), -1)
+        return G
 
     def cost(self, state: State) -> float:
-        """Value of the functional, bar a constant."""
-        u, data = self.problem.u(state), self.problem.data
-        fit = (data.product(u) * u - 2 * data.b * u).sum()
+        """Value of the functional."""
+        fit = (self.problem.left(state) ** 2).sum()
         return float(fit + (self.prior * self.values**2).sum())
 
 
 def no_inclusions(problem: Inversion, z: Array) -> Outlined:
     """A homogeneous sample, whose edges move as ``z`` says."""
     return Inclusions(problem.model, np.zeros((0, SIZE))).outlined(problem, z)
+
+
+def one_more(now: Outlined, places: int, settings: Identification, report: Report) -> Outlined:
+    """Inclusions that fit the images best, one more than some, tried at so many places."""
+    tried = now.more(places)
+    if len(tried) > 1:
+        brief = settings.changed(iterations=min(BRIEF, settings.iterations))
+        tried = [outline(start, brief, report) for start in tried]
+    best = min(tried, key=lambda found: found.cost(found.problem.state(found.z)))
+    return outline(best, settings, report)
 
 
 def outline(now: Outlined, settings: Identification, report: Report) -> Outlined:
@@ -204,9 +227,9 @@ def outline(now: Outlined, settings: Identification, report: Report) -> Outlined
     system = None
     for step in range(settings.iterations):
         if system is None:
-            J = now.derivative(state)
-            H = now.hessian(J) + np.diag(now.prior)
-            right = np.tensordot(J, problem.misfit(state), 3) - now.prior * now.values
+            G = now.derivative(state)
+            H = G @ G.T + np.diag(now.prior)
+            right = -G @ problem.left(state).ravel() - now.prior * now.values
             system = H, right
         H, right = system
         damped = H + np.diag(damping * np.diag(H) + 1e-9 * np.diag(H).max())
@@ -223,6 +246,6 @@ def outline(now: Outlined, settings: Identification, report: Report) -> Outlined
                 break
             continue
         now, state, cost, damping, system = trial, trial_state, cost - gain, damping / 4, None
-        if gain < settings.least_gain / 10:
+        if gain < FEW * settings.least_gain:
             break
     return now

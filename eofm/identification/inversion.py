@@ -10,7 +10,6 @@ from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_bande
 from scipy.sparse.linalg import LinearOperator, cg
 
 from eofm.elasticity.sensitivity import Elastic, State
-from eofm.flow.functional import Pointwise
 from eofm.grid import Array
 from eofm.settings import Identification
 
@@ -38,8 +37,9 @@ class Inversion:
     model : Elastic
     correction : ndarray, shape (2, height, width)
         What is added to the model's displacement.
-    data : Pointwise
-        The images' term, in units of the variance of their noise.
+    g : ndarray, shape (2, height, width)
+    r : ndarray, shape (height, width)
+        A displacement u leaves ``r + g . u`` of the images, in deviations of their noise.
     epsilon : float
     edges : sparse matrix, shape (degrees of freedom, unknowns of the edges)
         Motions of the nodes, one standard deviation each.
@@ -49,7 +49,8 @@ class Inversion:
 
     model: Elastic
     correction: Array
-    data: Pointwise
+    g: Array
+    r: Array
     epsilon: float
     edges: sp.csc_array
     weights: Array | float = 1.0
@@ -71,8 +72,8 @@ class Inversion:
         return self.model.shape[0] * self.model.shape[1]
 
     def m(self, z: Array) -> Array:
-        """The part of ``z`` that belongs to elements, in their shape."""
-        return z[: self.elements].reshape(self.model.shape)
+        """The part of ``z``, or of a stack of them, that belongs to elements, in their shape."""
+        return z[..., : self.elements].reshape(*z.shape[:-1], *self.model.shape)
 
     def start(self, m: Array | float = 0.0) -> Array:
         """``z`` of a modulus whose edges move as first guessed."""
@@ -88,9 +89,9 @@ class Inversion:
         return self.model.to_pixels(state.u) + self.correction
 
     def cost(self, z: Array, state: State, gamma: float) -> float:
-        """Value of the functional, bar a constant."""
-        u, m = self.u(state), z[: self.elements]
-        fit = (self.data.product(u) * u - 2 * self.data.b * u).sum()
+        """Value of the functional."""
+        m = z[: self.elements]
+        fit = (self.left(state) ** 2).sum()
         size = np.sqrt(sum((D @ m) ** 2 for D in self.gradients) + self.epsilon**2)
         return float(
             fit
@@ -106,13 +107,21 @@ class Inversion:
         right[self.elements :] -= z[self.elements :]
         return self.solver(z, state, prior + damping * sp.eye_array(self.elements))(right)
 
+    def left(self, state: State) -> Array:
+        """What the displacement leaves of the images, shape (height, width)."""
+        return self.r + self.seen(self.u(state))
+
+    def seen(self, u: Array) -> Array:
+        """Change of what is left for a change of u, or for a stack of them."""
+        return (self.g * u).sum(-3)
+
     def misfit(self, state: State) -> Array:
         """Half the negative slope of the data term in u, shape (2, height, width)."""
-        return self.data.b - self.data.product(self.u(state))
+        return -self.g * self.left(state)
 
     def forth(self, z: Array, state: State, d: Array) -> Array:
-        """Change of u at the pixels for a change ``d`` of ``z``."""
-        more = self.edges @ d[self.elements :] if self.edges.shape[1] else None
+        """Change of u at the pixels for a change ``d`` of ``z``, or for a stack of them."""
+        more = (self.edges @ d[..., self.elements :].T).T if self.edges.shape[1] else None
         return state.derivative(slope(self.m(z)) * self.m(d), more)
 
     def back(self, z: Array, state: State, f: Array) -> Array:
@@ -130,7 +139,7 @@ class Inversion:
         own = cho_factor(self._edge_block, lower=True) if self.edges.shape[1] else None
 
         def hessian(d: Array) -> Array:
-            total = self.back(z, state, self.data.product(self.forth(z, state, d)))
+            total = self.back(z, state, self.g * self.seen(self.forth(z, state, d)))
             total[: self.elements] += prior @ d[: self.elements]
             total[self.elements :] += d[self.elements :]
             return total
@@ -153,9 +162,8 @@ class Inversion:
         count = self.edges.shape[1]
         state, none = self.model.solve(np.zeros(self.model.shape)), np.zeros(self.model.shape)
         columns = (self.edges[:, [k]].toarray().ravel() for k in range(count))
-        J = np.stack([state.derivative(none, column) for column in columns])
-        A = np.stack([self.data.product(u) for u in J])
-        return J.reshape(count, -1) @ A.reshape(count, -1).T + np.eye(count)
+        G = np.stack([self.seen(state.derivative(none, column)).ravel() for column in columns])
+        return G @ G.T + np.eye(count)
 
     def prior(self, m: Array) -> sp.csr_array:
         """Matrix of ``int |grad d|^2 / sqrt(|grad m|^2 + epsilon^2)`` for d on the elements."""

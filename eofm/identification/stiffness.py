@@ -22,7 +22,6 @@ from eofm.elasticity.forward import deform, press
 from eofm.elasticity.sensitivity import Elastic
 from eofm.errors import InputError
 from eofm.flow.estimate import Estimate, estimate_displacement
-from eofm.flow.functional import Pointwise
 from eofm.flow.known import Known
 from eofm.grid import FACES, Array, Edge, Mask, componentwise, faces, unit_spacing
 from eofm.identification.choice import NONE, Choice, Fit, choose, clearly_better
@@ -37,10 +36,14 @@ from eofm.threads import serial
 
 # Contradictions smaller than this are none, px.
 UNCERTAIN = 0.5
+# Standard deviations by which a contradiction has to stand out, and samples that tell them.
+CLEAR, SCALE_SAMPLES = 3.0, 16
 # Elements at most, where their size is left open: their matrix is factorised many times.
 ELEMENTS = 6400
 # Smallest side of an element then, px.
 SMALLEST = 4.0
+# How much smaller their side is for the few numbers of inclusions, in the rounds after the first.
+FINER = 2.0
 # Largest contrast of a first guess.
 STRONGEST = 8.0
 # Samples of the error bars that decide whether E is refused.
@@ -171,7 +174,7 @@ def identify_stiffness(
 
     Notes
     -----
-    Where the images contradict the stated motion of the edges by more than
+    Where the images clearly contradict the stated motion of the edges by more than
     ``settings.trust``, all of it is multiplied by the factor for which they ask.
 
     The weight gamma and the start are chosen on bubbles held out, see `choose`. They also
@@ -259,11 +262,21 @@ class Setup:
     @cached_property
     def model(self) -> Elastic:
         """The forward model, with the motion of edges in true lengths."""
-        sides = np.array(self.sample.shape) - 1
-        cell = self.settings.cell or max(SMALLEST, np.sqrt(np.prod(sides) / ELEMENTS))
         motion = {edge: self.h[..., 0] * g for edge, g in self.motion.items()}
         spacing = unit_spacing(self.pixel_size)
-        return Elastic(self.sample, motion, cell, spacing, self.loose)
+        return Elastic(self.sample, motion, self.cell, spacing, self.loose)
+
+    @property
+    def cell(self) -> float:
+        """Side of an element, px."""
+        sides = np.array(self.sample.shape) - 1
+        return self.settings.cell or max(SMALLEST, float(np.sqrt(np.prod(sides) / ELEMENTS)))
+
+    @cached_property
+    def finer(self) -> "Setup":
+        """The same on smaller elements: those that an outline cuts are a good part of a disc."""
+        cell = max(self.cell / FINER, min(self.cell, 1.0))
+        return replace(self, settings=self.settings.changed(cell=cell))
 
     def problems(self, estimate: Estimate, masks: Sequence[Mask]) -> list[Inversion]:
         """One for each mask of pixels that are seen."""
@@ -274,11 +287,11 @@ class Setup:
             plain = model.to_pixels(model.solve(np.zeros(model.shape)).u)
             correction = self.h * self.u_bg - plain
         edges = motions(model, estimate, self.h)
+        left = match.residual(np.zeros_like(self.u_bg))
         problems = []
         for mask in masks:
-            data = match.density(np.zeros_like(self.u_bg), mask)
-            scaled = Pointwise(data.A / match.noise**2, data.b / match.noise**2)
-            problems.append(Inversion(model, correction, scaled, self.settings.epsilon, edges))
+            g, r = (f * (match.used & mask) / match.noise for f in (match.g, left))
+            problems.append(Inversion(model, correction, g, r, self.settings.epsilon, edges))
         return problems
 
     def choose(self, estimate: Estimate, report: Report) -> tuple[Choice, str]:
@@ -299,10 +312,10 @@ class Setup:
     ) -> "Stiffness":
         """The sample that fits the images, linearised about an estimate."""
         everything, prior = np.ones(self.sample.shape, dtype=bool), choice.prior
-        whole = self.problems(estimate, [everything])[0]
+        setup = self.finer if previous and previous.fit.outlined else self
+        whole = setup.problems(estimate, [everything])[0]
         if previous is None:
-            start = self.first(whole, estimate, choice, report)
-            fit = prior.fit(Fit(whole, start), self.settings, report)
+            fit = self.first(whole, estimate, choice, report)
         else:
             fit = prior.again(previous.fit, whole, self.settings, report)
         log_E = LARGEST * np.tanh(whole.m(fit.z) / LARGEST)
@@ -322,18 +335,18 @@ class Setup:
             return found
         return replace(found, estimate=replace(found.estimate, u=found.elastic))
 
-    def first(
-        self, problem: Inversion, estimate: Estimate, choice: Choice, report: Report
-    ) -> Array:
-        """The better of two starts: what a fold found, and what strains suggest."""
-        gamma, found = choice.prior.gamma, choice.fits[0].z
-        if choice.prior.inclusions:
-            return problem.start()
-        if gamma >= NONE:
-            return found
-        starts = [found, problem.start(softness(estimate.u, problem.model))]
-        fits = [gauss_newton(problem, z, gamma, self.settings, report) for z in starts]
-        return min(fits, key=lambda z: problem.cost(z, problem.state(z), gamma))
+    def first(self, problem: Inversion, estimate: Estimate, choice: Choice, report: Report) -> Fit:
+        """The best fit of some starts: what folds found, and for elements what strains suggest."""
+        prior, settings = choice.prior, self.settings
+        if prior.inclusions:
+            outlined = [prior.again(fit, problem, settings, report) for fit in choice.fits]
+            return min(outlined, key=lambda fit: fit.misfit)
+        starts = [choice.fits[0].z]
+        if prior.gamma < NONE:
+            starts.append(problem.start(softness(estimate.u, problem.model)))
+        fits = [gauss_newton(problem, z, prior.gamma, settings, report) for z in starts]
+        best = min(fits, key=lambda z: problem.cost(z, problem.state(z), prior.gamma))
+        return prior.fit(Fit(problem, best), settings, report)
 
 
 def vague(found: Stiffness, settings: Identification) -> tuple[str, bool]:
@@ -392,10 +405,11 @@ def _check(I1: Array, I2: Array, sample: Sample) -> None:
 
 
 def _scale(free: Estimate, u_bg: Array, edges: Iterable[Edge], settings: Identification) -> float:
-    """Factor of the edges' motion for which the images ask, 1 where it is near 1.
+    """Factor of the edges' motion for which the images ask, 1 where they may mean that.
 
     ``free`` does not know the edges. The factor is the least squares fit of the medians along
-    them, less their mean, to those of the stated motion.
+    them, less their mean, to those of the stated motion. It differs from 1 by more than
+    ``settings.trust``, and clearly more than errors of ``free`` as they may be would make it.
 
     Raises
     ------
@@ -422,4 +436,7 @@ def _scale(free: Estimate, u_bg: Array, edges: Iterable[Edge], settings: Identif
             f"the images contradict the motion of the edges by {wrong:.2f} px and would have"
             f" {scale:.3f} times of it; state it better, or raise the doubt ({settings.doubt:g})"
         )
-    return 1.0 if abs(scale - 1) <= settings.trust else scale
+    errors = (medians(error) for error in free.samples(SCALE_SAMPLES))
+    chance = [(error * b).sum() / (b * b).sum() for error in errors]
+    least = max(settings.trust, CLEAR * float(np.sqrt(np.mean(np.square(chance)))))
+    return 1.0 if abs(scale - 1) <= least else scale

@@ -100,11 +100,11 @@ class Errors:
     ) -> Iterator[Array]:
         """The same of inclusions with smooth outlines."""
         found = cast(Outlined, self.fit.outlined)
-        J = found.derivative(state)
-        H = found.hessian(J) + np.diag(found.prior)
+        G, left = found.derivative(state), found.problem.left(state)
+        H = G @ G.T + np.diag(found.prior)
         factor = cho_factor(H + 1e-9 * np.diag(H).max() * np.eye(len(H)))
         for _ in range(samples):
-            right = np.tensordot(J, random_signs(misfit.shape[1:], rng) * misfit, 3)
+            right = G @ (random_signs(left.shape, rng) * left).ravel()
             right += np.sqrt(found.prior) * rng.standard_normal(len(H))
             yield found.change(cho_solve(factor, right))
 
@@ -130,9 +130,11 @@ class Errors:
 
     def _log_E(self, fits: Sequence[Fit]) -> Array:
         """Logarithm of the modulus relative to the background's at the pixels, of each fit."""
-        moduli = (LARGEST * np.tanh(self.fit.problem.m(fit.z) / LARGEST) for fit in fits)
-        to_pixels = self.fit.problem.model.elements_to_pixels
-        return np.stack([to_pixels(log_E - np.median(log_E)) for log_E in moduli])
+        found = []
+        for problem, z in ((fit.problem, fit.z) for fit in fits):
+            log_E = LARGEST * np.tanh(problem.m(z) / LARGEST)
+            found.append(problem.model.elements_to_pixels(log_E - np.median(log_E)))
+        return np.stack(found)
 
 
 @serial

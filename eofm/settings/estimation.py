@@ -181,7 +181,8 @@ class Identification(Section):
 
     cell: Positive | None = Field(
         None,
-        description="side of the elements that carry E, px; none: 4, or more in large images",
+        description="side of the elements that carry E, px; half of it where inclusions are fitted"
+        " in the end; none: 4, or more in large images",
     )
     gamma: Positive | None = Field(
         None, description="weight of the total variation; none: chosen on held-out bubbles"

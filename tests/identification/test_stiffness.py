@@ -1,5 +1,7 @@
 """The identified stiffness of samples and of parts of them."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from pressed import DISC, PLAIN, PRESSED, pair
@@ -9,11 +11,11 @@ from eofm.analysis.metrics import relative_errors
 from eofm.elasticity.sensitivity import Elastic
 from eofm.errors import InputError
 from eofm.flow.estimate import estimate_displacement
-from eofm.flow.functional import Pointwise
 from eofm.flow.known import Known
 from eofm.grid import faces
 from eofm.identification.inversion import Inversion
-from eofm.identification.stiffness import identify_stiffness
+from eofm.identification.stiffness import _scale, identify_stiffness
+from eofm.settings import Identification
 from eofm.threads import serial
 
 pytestmark = pytest.mark.slow
@@ -23,8 +25,9 @@ pytestmark = pytest.mark.slow
 def test_the_step_goes_downhill(loose):
     motion = PRESSED | {edge: np.zeros((2, 1)) for edge in loose}
     model, rng = Elastic(PLAIN, motion, 4.0, loose=loose), np.random.default_rng(2)
-    data = Pointwise(np.ones((3, *PLAIN.shape)) * np.reshape([1, 0, 1], (3, 1, 1)), pair()[2])
-    problem = Inversion(model, np.zeros((2, *PLAIN.shape)), data, 0.02, 0.1 * model.hats(7.0)[0])
+    g, none = rng.normal(size=(2, *PLAIN.shape)), np.zeros((2, *PLAIN.shape))
+    r = -(g * pair()[2]).sum(0)
+    problem = Inversion(model, none, g, r, 0.02, 0.1 * model.hats(7.0)[0])
     z = problem.start(0.1 * rng.normal(size=model.shape))
     state = problem.state(z)
     step = problem.improve(z, state, 0.1, damping=1.0)
@@ -34,8 +37,8 @@ def test_the_step_goes_downhill(loose):
 
 def test_relaxed_outlines_weigh_less_where_they_are_and_not_elsewhere():
     model = Elastic(PLAIN, PRESSED, 4.0)
-    data = Pointwise(np.ones((3, *PLAIN.shape)), pair()[2])
-    problem = Inversion(model, np.zeros((2, *PLAIN.shape)), data, 0.02, model.hats(7.0)[0])
+    none = np.zeros((2, *PLAIN.shape))
+    problem = Inversion(model, none, none, none[0], 0.02, model.hats(7.0)[0])
     m = np.zeros(model.shape)
     m[3:6, 4:9] = 1.0
     weights = problem.relaxed(problem.start(m)).weights.reshape(model.shape)
@@ -94,6 +97,16 @@ def test_edges_that_move_otherwise_than_said_are_fitted(wrong):
     free = estimate_displacement(I1, I2)
     errors = [relative_errors(v, u)["e_rel"] for v in (found.estimate.u, free.u)]
     assert errors[0] < errors[1]
+
+
+@pytest.mark.parametrize(("error", "scale"), [(0.01, 0.94), (0.2, 1.0)])
+def test_edges_are_scaled_where_the_images_ask_for_it_more_clearly_than_noise_would(error, scale):
+    """The bottom seems to move by 1.88 px instead of 2, and one edge may be off by an error."""
+    stated = pair()[2]
+    wrong = np.zeros_like(stated)
+    wrong[1, 24:] = error
+    free = SimpleNamespace(u=0.94 * stated, samples=lambda count: [wrong, -wrong] * (count // 2))
+    assert _scale(free, stated, PRESSED, Identification()) == pytest.approx(scale)
 
 
 def test_edges_that_the_images_contradict_are_refused():
