@@ -11,7 +11,8 @@ from eofm.analysis.tensors import invariants, labels
 from eofm.errors import InputError
 from eofm.flow.start import REACH
 from eofm.grid import Array, Mask
-from eofm.imaging.intensity import defects_by_kind, filled, looks_linear
+from eofm.imaging.defects import defects_by_kind, filled
+from eofm.imaging.intensity import looks_linear
 from eofm.settings import Estimation, Measures
 
 if TYPE_CHECKING:

@@ -26,7 +26,8 @@ from eofm.grid import (
     precision,
     unit_spacing,
 )
-from eofm.imaging.intensity import defects, filled, normalise, normalise_locally
+from eofm.imaging.defects import defects, filled
+from eofm.imaging.intensity import normalise, normalise_locally
 from eofm.imaging.splines import evaluate_field, resize, resize_field
 from eofm.settings import Estimation
 

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eofm.grid import Array, Mask
-from eofm.imaging.intensity import (
-    HIGHLIGHT,
+from eofm.imaging.defects import (
     IMPULSE,
     LINE,
     NEIGHBOURHOOD,
@@ -19,12 +18,11 @@ from eofm.imaging.intensity import (
     Levels,
     bumps,
     defects,
-    few,
     filled,
-    level,
-    normalise,
+    height_of_highlights,
     peaks,
 )
+from eofm.imaging.intensity import normalise
 from eofm.io import windows
 
 # Steps of the grey scale to which quantiles are counted.
@@ -158,17 +156,20 @@ def _levels(read: Callable[[Window], Array], shape: tuple[int, ...], most: int) 
         for counts, found in zip((every, single), peaks(I), strict=True):
             counts += _counts(I[inner][found[inner]])
         for axis in range(I.ndim):
-            flat += _counts(np.delete(I, -1, axis)[level(I, axis)])
+            along = np.moveaxis(I, axis, 0)
+            flat += _counts(along[1:][np.diff(along, axis=0) == 0])
         values += _counts(I[inner])
     median = _quantile(values, 0.5)
     for counts in (every, single, flat):
         counts[: int(STEPS * median) + 1] = 0
     if not every.any():
         return None
-    highlight, lines = HIGHLIGHT * (_quantile(every, 0.75) - median), bool(flat.sum() >= LINE - 1)
-    largest = _quantile(values, 1) - median
-    if highlight > largest and few(int(single.sum()), shape):
-        highlight = HIGHLIGHT * (_quantile(single, 0.5) - median)
+    usual, middle, largest = (
+        _quantile(counts, part) - median
+        for counts, part in ((every, 0.75), (single, 0.5), (values, 1.0))
+    )
+    highlight = height_of_highlights(usual, middle, largest, int(single.sum()), shape)
+    lines = bool(flat.sum() >= LINE - 1)
     if highlight > largest:
         highlight = np.inf
     bump = IMPULSE * steepest * _quantile(steep, 0.75)

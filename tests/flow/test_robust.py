@@ -9,7 +9,8 @@ import eofm.grid
 from eofm.flow.matching import Overall, brightness
 from eofm.flow.start import consistent, match_blocks, unlike
 from eofm.grid import Grid
-from eofm.imaging.intensity import Levels, Window, defects, defects_by_kind, normalise_locally
+from eofm.imaging.defects import Levels, defects, defects_by_kind
+from eofm.imaging.intensity import Window, normalise_locally
 
 SHAPE = (96, 112)
 

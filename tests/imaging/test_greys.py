@@ -7,8 +7,9 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from eofm.errors import InputError
+from eofm.imaging.defects import defects, filled
 from eofm.imaging.greys import Greys, grown
-from eofm.imaging.intensity import defects, filled, normalise
+from eofm.imaging.intensity import normalise
 from eofm.io import windows
 
 SHAPE = (30, 40, 36)

@@ -12,16 +12,9 @@ from skimage.measure import label
 from eofm.compiled import use_threads
 from eofm.errors import InputError
 from eofm.grid import componentwise, inside
+from eofm.imaging.defects import LINE, Levels, defects, filled
 from eofm.imaging.gaussian import blur, gaussians
-from eofm.imaging.intensity import (
-    LINE,
-    Levels,
-    Window,
-    defects,
-    filled,
-    normalise,
-    normalise_locally,
-)
+from eofm.imaging.intensity import Window, normalise, normalise_locally
 from eofm.imaging.splines import (
     Spline,
     evaluate,
