@@ -54,6 +54,12 @@ class Fit:
         return self.problem.u(self.problem.state(self.z))
 
     @property
+    def log_E(self) -> Array:
+        """Logarithm of the modulus relative to the background's (the median) at the pixels."""
+        log_E = self.problem.log_E(self.z)
+        return self.problem.model.elements_to_pixels(log_E - np.median(log_E))
+
+    @property
     def misfit(self) -> float:
         """What its displacement leaves of the images, squared, in variances of their noise."""
         return float((self.problem.left(self.problem.state(self.z)) ** 2).sum())

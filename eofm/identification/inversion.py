@@ -82,7 +82,12 @@ class Inversion:
     def state(self, z: Array) -> State:
         """Elastic state of ``z``."""
         more = self.edges @ z[self.elements :] if self.edges.shape[1] else None
-        return self.model.solve(LARGEST * np.tanh(self.m(z) / LARGEST), more)
+        return self.model.solve(self.log_E(z), more)
+
+    def log_E(self, z: Array) -> Array:
+        """Logarithm of the modulus of each element."""
+        log_E: Array = LARGEST * np.tanh(self.m(z) / LARGEST)
+        return log_E
 
     def u(self, state: State) -> Array:
         """Its displacement; the error of the mesh for E = 1 is taken off, px."""

@@ -11,33 +11,29 @@ That estimate and the search take turns: the identified sample's displacement is
 background field of the next estimate, until the field settles.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from tqdm import tqdm
 
-from eofm.elasticity.forward import deform, press
+from eofm.elasticity.forward import press
 from eofm.elasticity.sensitivity import Elastic
 from eofm.errors import InputError
 from eofm.flow.estimate import Estimate, estimate_displacement
 from eofm.flow.known import Known
 from eofm.grid import FACES, Array, Edge, Mask, componentwise, faces, unit_spacing
 from eofm.identification.choice import NONE, Choice, Fit, choose, clearly_better
-from eofm.identification.edges import motions
+from eofm.identification.edges import motions, move_differently, moved
 from eofm.identification.folds import COUNT, Folds
-from eofm.identification.inversion import LARGEST, Inversion, Report, gauss_newton
+from eofm.identification.inversion import Inversion, Report, gauss_newton
 from eofm.identification.uncertainty import Errors
 from eofm.imaging.gaussian import blur
 from eofm.imaging.splines import gradient, resize
 from eofm.settings import Estimation, Identification, Sample
 from eofm.threads import serial
 
-# Contradictions smaller than this are none, px.
-UNCERTAIN = 0.5
-# Standard deviations by which a contradiction has to stand out, and samples that tell them.
-CLEAR, SCALE_SAMPLES = 3.0, 16
 # Elements at most, where their size is left open: their matrix is factorised many times.
 ELEMENTS = 6400
 # Smallest side of an element then, px.
@@ -202,7 +198,7 @@ def identify_stiffness(
         motion = rim | dict(known.edges)
     else:
         loose = ()
-        scale, motion, u_bg = _moved(I1, I2, sample, settings, estimation, known, stated)
+        scale, motion, u_bg = moved(I1, I2, sample, settings, estimation, known, stated)
         # A contact that slips leaves the motion along the edge open.
         known = replace(known, edges={} if sample.contact == "slip" else motion)
         estimate = estimate_displacement(I1, I2, estimation, replace(known, background=u_bg))
@@ -318,10 +314,7 @@ class Setup:
             fit = self.first(whole, estimate, choice, report)
         else:
             fit = prior.again(previous.fit, whole, self.settings, report)
-        log_E = LARGEST * np.tanh(whole.m(fit.z) / LARGEST)
-        log_E = whole.model.elements_to_pixels(log_E - np.median(log_E))
-        elastic = fit.u / self.h
-        return Stiffness(np.exp(log_E), elastic, estimate, choice, fit)
+        return Stiffness(np.exp(fit.log_E), fit.u / self.h, estimate, choice, fit)
 
     def settle(self, found: "Stiffness") -> "Stiffness":
         """The same with the elastic displacement, where it predicts bubbles held out better.
@@ -372,29 +365,6 @@ def softness(u: Array, model: Elastic) -> Array:
     return -np.log(np.clip(strain / max(middle, TINY), 1 / STRONGEST, STRONGEST))
 
 
-def _moved(
-    I1: Array,
-    I2: Array,
-    sample: Sample,
-    settings: Identification,
-    estimation: Estimation,
-    known: Known,
-    motion: dict[Edge, Array],
-) -> tuple[float, dict[Edge, Array], Array]:
-    """Factor of the edges' motion, that motion, and the homogeneous background."""
-    u_bg = deform(sample, motion, pixel_size=known.sides(2), slip=sample.contact == "slip")
-    blind = estimation.changed(zero_edges=())
-    free = estimate_displacement(I1, I2, blind, replace(known, background=u_bg, edges={}))
-    scale = _scale(free, u_bg, motion, settings)
-    return scale, {edge: scale * g for edge, g in motion.items()}, scale * u_bg
-
-
-def move_differently(motion: Mapping[Edge, Array]) -> bool:
-    """Whether two edges at least are known to move, and not alike."""
-    means = np.array([g.mean(1) for g in motion.values()])
-    return len(means) >= 2 and bool(np.ptp(means, axis=0).any())
-
-
 def _check(I1: Array, I2: Array, sample: Sample) -> None:
     for name, I in (("before", I1), ("after", I2)):
         if I.shape != sample.shape:
@@ -402,41 +372,3 @@ def _check(I1: Array, I2: Array, sample: Sample) -> None:
                 f"the image {name} compression has {I.shape[0]} x {I.shape[1]} px but the sample"
                 f" {sample.height} x {sample.width} px; they have to be the same"
             )
-
-
-def _scale(free: Estimate, u_bg: Array, edges: Iterable[Edge], settings: Identification) -> float:
-    """Factor of the edges' motion for which the images ask, 1 where they may mean that.
-
-    ``free`` does not know the edges. The factor is the least squares fit of the medians along
-    them, less their mean, to those of the stated motion. It differs from 1 by more than
-    ``settings.trust``, and clearly more than errors of ``free`` as they may be would make it.
-
-    Raises
-    ------
-    InputError
-        If the images contradict the motion of an edge by more than ``settings.doubt``, or the
-        edges move alike over most of their length.
-    """
-
-    def medians(v: Array) -> Array:
-        return np.array([np.median(v[:, *FACES[edge].pixels()], axis=1) for edge in edges])
-
-    seen, stated = medians(free.u), medians(u_bg)
-    a, b = seen - seen.mean(0), stated - stated.mean(0)
-    largest = float(np.abs(stated).max())
-    if np.abs(b).max() <= 0.01 * largest:
-        raise InputError(
-            "stiffness cannot be told from edges most of which move alike; it needs two that move"
-            " differently over most of their length"
-        )
-    scale = float((a * b).sum() / (b * b).sum())
-    wrong = float(np.abs(seen - stated).max())
-    if wrong > max(settings.doubt * largest, UNCERTAIN) or abs(scale - 1) > settings.doubt:
-        raise InputError(
-            f"the images contradict the motion of the edges by {wrong:.2f} px and would have"
-            f" {scale:.3f} times of it; state it better, or raise the doubt ({settings.doubt:g})"
-        )
-    errors = (medians(error) for error in free.samples(SCALE_SAMPLES))
-    chance = [(error * b).sum() / (b * b).sum() for error in errors]
-    least = max(settings.trust, CLEAR * float(np.sqrt(np.mean(np.square(chance)))))
-    return 1.0 if abs(scale - 1) <= least else scale

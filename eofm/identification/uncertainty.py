@@ -6,7 +6,7 @@ of the modulus: the deviation of a sample of the posterior is
 for each block of pixels.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, cast
@@ -20,7 +20,7 @@ from eofm.flow.matching import random_signs
 from eofm.grid import Array, componentwise
 from eofm.identification.choice import Choice, Fit
 from eofm.identification.inclusions import Outlined
-from eofm.identification.inversion import LARGEST, slope
+from eofm.identification.inversion import slope
 from eofm.imaging.gaussian import blur
 from eofm.threads import serial
 
@@ -114,7 +114,7 @@ class Errors:
 
         It knows what the linearised posterior does not: how far the fit follows single bubbles.
         """
-        found = self._log_E(self.choice.fits)
+        found = np.stack([fit.log_E for fit in self.choice.fits])
         count = len(found)
         squares = ((found - found.mean(0)) ** 2).sum(0)
         return STUDENT * np.sqrt((count - 1) / count * blur(squares, WIDTH))
@@ -122,19 +122,11 @@ class Errors:
     @cached_property
     def _priors(self) -> Array:
         """How far fits with other priors are off: a prior takes contrast off what it smooths."""
-        squares = np.zeros(self.fit.problem.model.sample.shape)
-        found = self._log_E([self.fit])[0]
+        found = self.fit.log_E
+        squares = np.zeros_like(found)
         for fits in self.choice.rivals:
-            squares += (self._log_E(fits).mean(0) - found) ** 2
+            squares += (np.mean([fit.log_E for fit in fits], axis=0) - found) ** 2
         return np.sqrt(squares / max(len(self.choice.rivals), 1))
-
-    def _log_E(self, fits: Sequence[Fit]) -> Array:
-        """Logarithm of the modulus relative to the background's at the pixels, of each fit."""
-        found = []
-        for problem, z in ((fit.problem, fit.z) for fit in fits):
-            log_E = LARGEST * np.tanh(problem.m(z) / LARGEST)
-            found.append(problem.model.elements_to_pixels(log_E - np.median(log_E)))
-        return np.stack(found)
 
 
 @serial

@@ -13,8 +13,9 @@ from eofm.errors import InputError
 from eofm.flow.estimate import estimate_displacement
 from eofm.flow.known import Known
 from eofm.grid import faces
+from eofm.identification.edges import factor_of_motion
 from eofm.identification.inversion import Inversion
-from eofm.identification.stiffness import _scale, identify_stiffness
+from eofm.identification.stiffness import identify_stiffness
 from eofm.settings import Identification
 from eofm.threads import serial
 
@@ -106,7 +107,7 @@ def test_edges_are_scaled_where_the_images_ask_for_it_more_clearly_than_noise_wo
     wrong = np.zeros_like(stated)
     wrong[1, 24:] = error
     free = SimpleNamespace(u=0.94 * stated, samples=lambda count: [wrong, -wrong] * (count // 2))
-    assert _scale(free, stated, PRESSED, Identification()) == pytest.approx(scale)
+    assert factor_of_motion(free, stated, PRESSED, Identification()) == pytest.approx(scale)
 
 
 def test_edges_that_the_images_contradict_are_refused():
