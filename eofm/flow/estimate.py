@@ -14,13 +14,14 @@ from eofm.flow.functional import Quadratic
 from eofm.flow.known import Known
 from eofm.flow.matching import ImagePair, Match
 from eofm.flow.problem import COARSE, FINEST, Problem, resized, sampled_pairs
-from eofm.flow.start import correlation, details, match_blocks, unlike
+from eofm.flow.start import correlation, details, match_blocks, standing, unlike
 from eofm.flow.trust import Trust, judge
 from eofm.flow.uncertainty import Errors
 from eofm.flow.weight import around
 from eofm.grid import Array, Edge, Grid, componentwise, unit_spacing
 from eofm.imaging.gaussian import blur
-from eofm.imaging.intensity import normalise_locally
+from eofm.imaging.intensity import normalise, normalise_locally
+from eofm.imaging.printed import suspects
 from eofm.imaging.splines import resize, resize_field
 from eofm.settings import Estimation
 
@@ -237,6 +238,8 @@ def _coarse_to_fine(
     each other.
     """
     problem = Problem.of(I1.shape, settings, known)
+    if settings.robust and I1.ndim == 2:
+        known = without_labels(problem, I1, I2, known)
     pairs = sampled_pairs(I1, I2, problem.grids, settings, known)
     decides = settings.robust and settings.local_window is None and I1.ndim == 2
     u = problem.u_bg
@@ -256,6 +259,26 @@ def _coarse_to_fine(
     coarser = pairs[max(0, len(pairs) - FINEST)]
     lengths = resize_field(found.lengths, coarser.grid.shape)
     return found, decides and coarser.shading(lengths) > SHADED
+
+
+def without_labels(problem: Problem, I1: Array, I2: Array, known: Known) -> Known:
+    """What is known, with labels that are printed on both images among the dead pixels.
+
+    What may be one is left out first. Where the motion that the others show is not its own, but
+    standing still is, it is one.
+    """
+    doubted = suspects(*normalise(I1, I2))
+    if not doubted.any():
+        return known
+    dead = np.zeros_like(doubted) if known.dead is None else known.dead
+    grids = problem.grids[: largest_small(problem.grids) + 1]
+    u = problem.u_bg
+    without = replace(known, dead=dead | doubted)
+    for number, pair in enumerate(sampled_pairs(I1, I2, grids, problem.settings, without)):
+        u = problem.level(number, pair, u).improve((), False).u
+    whole = sampled_pairs(I1, I2, grids, problem.settings, known)[-1]
+    still = standing(whole.I1, whole.I2, u, whole.grid, resized(doubted, whole.grid.shape))
+    return replace(known, dead=dead | (doubted & resized(still, doubted.shape)))
 
 
 def largest_small(grids: Sequence[Grid]) -> int:

@@ -1,0 +1,119 @@
+"""What is printed on both images and stays: frames, sectors of scanners, text, scale bars."""
+
+from itertools import product
+
+import numpy as np
+
+from eofm.grid import Array, Mask
+
+# How far around it the images are none the better, px.
+MARGIN = 2
+# Where a frame ends, the sample begins at once: what is beside it differs from its value by so much
+# of what all others do. A sample that is black itself, or clipped, goes over to that smoothly.
+ABRUPT = 0.5
+# Part of the pixels beside a sector that may have its value in one image only; and values at the
+# edges that are looked at.
+CHANGED, VALUES = 0.25, 4
+# Labels are nearly as bright or as dark as anything, in so many pixels. The images differ there,
+# for their gradients, by so much of what they do elsewhere; and they cover so much at most.
+EXTREME, LEAST, STILL, RARE = (1 / 16, 1 / 4), 8, 0.3, 0.1
+# First and last of an axis, and which way it goes on from there.
+ENDS = (0, 1), (-1, -1)
+TINY = float(np.finfo(np.float32).tiny)
+
+
+def printed(I1: Array, I2: Array) -> Mask:
+    """Pixels of frames, sectors and labels, with what is next to them.
+
+    Parameters
+    ----------
+    I1, I2 : ndarray, shape (height, width) or (depth, height, width)
+        Of one grey scale.
+    """
+    found = np.zeros(I1.shape, dtype=bool)
+    if np.array_equal(I1, I2):
+        return found
+    from scipy import ndimage
+
+    inner = _box(I1, I2)
+    J1, J2 = I1[inner], I2[inner]
+    found[...] = True
+    found[inner] = _sectors(J1, J2)
+    return ndimage.binary_dilation(found, iterations=MARGIN) if found.any() else found
+
+
+def _box(I1: Array, I2: Array) -> tuple[slice, ...]:
+    """What is inside of a frame of whole rows and columns; each edge may have another value."""
+    widths = []
+    for axis, n in enumerate(I1.shape):
+        across = tuple(k for k in range(I1.ndim) if k != axis)
+        low, high = (f([f(I, across) for I in (I1, I2)], 0) for f in (np.min, np.max))
+        flat = low == high
+        ends = [int(np.argmin([*(flat & (low == low[end]))[::step], False])) for end, step in ENDS]
+        widths.append(ends if sum(ends) < n else [0, 0])
+    inner = tuple(slice(a, n - b) for (a, b), n in zip(widths, I1.shape, strict=True))
+    for axis, ends in enumerate(widths):
+        for k, (end, _) in enumerate(ENDS):
+            if ends[k]:
+                off = _off(I1[inner], I2[inner], float(np.take(I1, end, axis).flat[0]))
+                if not np.take(off, end, axis).mean() > ABRUPT * off.mean():
+                    ends[k] = 0
+    return tuple(slice(a, n - b) for (a, b), n in zip(widths, I1.shape, strict=True))
+
+
+def _off(I1: Array, I2: Array, value: float) -> Array:
+    """How far off a value the pixels are, in the image where they are less so."""
+    return np.minimum(np.abs(I1 - value), np.abs(I2 - value))
+
+
+def _sectors(I1: Array, I2: Array) -> Mask:
+    """Connected pixels of one value in both images, from the edges to where the sample begins."""
+    from scipy import ndimage
+
+    found, rim = np.zeros(I1.shape, dtype=bool), np.ones(I1.shape, dtype=bool)
+    rim[(slice(1, -1),) * I1.ndim] = False
+    # What is clipped where it is bright ends at once as well.
+    values, counts = np.unique(I1[rim & (I1 == I2) & (I1.max() > I1)], return_counts=True)
+    for value in values[np.argsort(-counts, kind="stable")][:VALUES]:
+        alike = (value == I1) & (value == I2)
+        label, count = ndimage.label(alike, ndimage.generate_binary_structure(I1.ndim, I1.ndim))
+        beside = ndimage.maximum_filter(label, 3)
+        beside[alike] = 0
+        off, changed = _off(I1, I2, value), (value == I1) != (value == I2)
+        touching = np.maximum(np.bincount(beside.ravel(), minlength=count + 1), 1)
+        jump = np.bincount(beside.ravel(), off.ravel(), count + 1) / touching
+        changes = np.bincount(beside[changed], minlength=count + 1) / touching
+        kept = np.bincount(label[rim], minlength=count + 1) >= LEAST
+        kept &= (jump > ABRUPT * off[~alike].mean()) & (changes <= CHANGED)
+        kept[0] = False
+        found |= kept[label]
+    return found
+
+
+def suspects(I1: Array, I2: Array) -> Mask:
+    """Very bright or dark parts that seem to stay while others move, with what is next to them.
+
+    Labels, but also structures that are clipped where the sample hardly moves.
+    """
+    from scipy import ndimage
+
+    found = np.zeros(I1.shape, dtype=bool)
+    differs = np.abs(I1 - I2)
+    slopes = np.sqrt(sum(np.square(np.gradient((I1 + I2) / 2, axis=k)) for k in range(I1.ndim)))
+    whole = ndimage.generate_binary_structure(I1.ndim, I1.ndim)
+    ends = min(I1.min(), I2.min()), max(I1.max(), I2.max())
+    for value, apart in product(ends, EXTREME):
+        near = np.maximum(np.abs(I1 - value), np.abs(I2 - value)) <= apart
+        if np.count_nonzero(near) < LEAST:
+            continue
+        # Letters belong together, and what is beside them to them.
+        label, count = ndimage.label(ndimage.binary_dilation(near, whole, MARGIN), whole)
+        change, slope = (
+            np.bincount(label.ravel(), f.ravel(), count + 1) for f in (differs, slopes)
+        )
+        still = change * slope[0] <= STILL * change[0] * (slope + TINY)
+        still &= np.bincount(label[near], minlength=count + 1) >= LEAST
+        still[0] = False
+        found |= still[label]
+    found &= found.mean() < RARE
+    return ndimage.binary_dilation(found, iterations=MARGIN) if found.any() else found
