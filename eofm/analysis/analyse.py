@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -214,19 +215,20 @@ def analyse(
     window = measures.strain_window or 3 * geometric_mean(pixel_size)
     e = strain(total, pixel_size, window, measures.strain_measure)
     left = residual(first, last, total)
+    printed = reduce(np.logical_or, (step.estimate.printed for step in steps))
     share = data_share(
         normalised(first, last, estimation, pixel_size)[0],
         estimation.smoothness,
         steps[-1].estimate.weight,
         estimation.sigma,
         unit_spacing(pixel_size),
-        dead,
+        dead | printed,
     )
     found = summary.of_motion(pixel_size, dead, steps, total)
     found |= summary.of_strain(e, measures, window, dead)
     without = residual(first, last, np.zeros_like(total))
     match = worst(steps).map
-    found |= summary.of_images(frames, dead, (left, without), share, match)
+    found |= summary.of_images(frames, dead, printed, (left, without), share, match)
     found["reach_px"] = summary.reach(shape, estimation)
     if (stiffness := steps[0].stiffness) is not None:
         found["stiffness"] = summary.of_stiffness(stiffness)

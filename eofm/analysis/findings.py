@@ -85,6 +85,7 @@ def doubts(summary: dict[str, Any]) -> list[Finding]:
         _near,
         _bubbles,
         _defects,
+        _printed,
         _dead,
         _scale,
         _linear,
@@ -225,6 +226,16 @@ def _defects(summary: dict[str, Any]) -> Iterator[Finding]:
             f"Left out of frame {frame + 1}: {kinds}.",
             "A lower gain of the detector spares highlights and saturated lines; pixels that stand"
             " alone are hot, dead, or noise.",
+        )
+
+
+def _printed(summary: dict[str, Any]) -> Iterator[Finding]:
+    if summary["printed_share"] > 0:
+        yield Finding(
+            "note",
+            f"Frames or labels, alike in both images, cover {summary['printed_share']:.1%}.",
+            "They are left out, and what lies below them is not seen: crop frames, and export"
+            " images without labels.",
         )
 
 

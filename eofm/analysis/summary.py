@@ -79,12 +79,14 @@ def of_strain(e: Array, measures: Measures, window: float, dead: Mask) -> dict[s
 def of_images(
     frames: Sequence[Array],
     dead: Mask,
+    printed: Mask,
     residuals: tuple[Array, Array],
     share: Array,
     match: Array,
 ) -> dict[str, Any]:
     """What is left of their difference after and without the motion, and what they say."""
-    after, without = (float(np.sqrt(np.nanmean(r[~dead] ** 2))) for r in residuals)
+    seen = ~(dead | printed)
+    after, without = (float(np.sqrt(np.nanmean(r[seen] ** 2))) for r in residuals)
     return {
         "residual_rms": after,
         "residual_rms_without_motion": without,
@@ -92,6 +94,7 @@ def of_images(
         "share_held_by_regulariser": float(held(share, match)[~dead].mean()),
         "looks_linear": looks_linear(frames[0]),
         "defect_share": [_defect_share(I, dead) for I in frames],
+        "printed_share": float((printed & ~dead).mean()),
     }
 
 

@@ -14,8 +14,9 @@ from eofm import io
 from eofm.analysis.plan import Plan, planned
 from eofm.analysis.work import Work, read_choice
 from eofm.errors import InputError
-from eofm.flow.estimate import best_start, largest_small
+from eofm.flow.estimate import best_start
 from eofm.flow.problem import FINEST, nothing
+from eofm.flow.pyramid import largest_small
 from eofm.flow.tiles import shape_of, solve
 from eofm.imaging.greys import Greys
 from eofm.imaging.splines import needed, resize_part

@@ -1,7 +1,6 @@
 """The elastographic optical flow method: all five tests of the paper, and your images."""
 
 import logging
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,21 +11,20 @@ from tqdm import tqdm
 
 from eofm.flow.functional import Quadratic
 from eofm.flow.known import Known
+from eofm.flow.labels import printed
 from eofm.flow.matching import ImagePair, Match
 from eofm.flow.problem import COARSE, FINEST, Problem, resized, sampled_pairs
-from eofm.flow.start import correlation, details, match_blocks, standing, unlike
+from eofm.flow.pyramid import largest_small
+from eofm.flow.start import correlation, details, match_blocks, unlike
 from eofm.flow.trust import Trust, judge
 from eofm.flow.uncertainty import Errors
 from eofm.flow.weight import around
-from eofm.grid import Array, Edge, Grid, componentwise, unit_spacing
+from eofm.grid import Array, Edge, Mask, componentwise, unit_spacing
 from eofm.imaging.gaussian import blur
-from eofm.imaging.intensity import normalise, normalise_locally
-from eofm.imaging.printed import suspects
+from eofm.imaging.intensity import normalise_locally
 from eofm.imaging.splines import resize, resize_field
 from eofm.settings import Estimation
 
-# Side of the image, or volume, on which starts are compared, samples.
-SIDE = {2: 160, 3: 48}
 # Width of the average of variances of draws, px.
 VARIANCE = 4.0
 # Change of brightness, as a part of the contrast, that may be taken for motion. Images are then
@@ -61,6 +59,8 @@ class Estimate:
         The field to which the last scale added what R acts on, in the unit of ``functional``.
     ease : ndarray, shape (height, width), optional
         By which alpha is divided at each pixel, see :func:`eofm.flow.roughness.ease`.
+    printed : ndarray of bool, of the images' shape
+        Frames and labels, alike in both images, which were left out.
     spacing : tuple of float
         Sides of a pixel in the unit of ``functional``, lateral first.
     edges : tuple of str
@@ -74,6 +74,7 @@ class Estimate:
     functional: Quadratic
     base: Array
     ease: Array | None
+    printed: Mask
     spacing: tuple[float, ...]
     edges: tuple[Edge, ...] = ()
 
@@ -213,11 +214,14 @@ def estimate_displacement(
     True
     """
     known.check(I1, I2)
-    found, shaded = _coarse_to_fine(I1, I2, settings, known, progress)
+    left_out = printed(I1, I2, settings, known) if settings.robust else np.zeros(I1.shape, bool)
+    if left_out.any():
+        known = replace(known, dead=left_out if known.dead is None else left_out | known.dead)
+    found, shaded = _coarse_to_fine(I1, I2, settings, known, left_out, progress)
     if not shaded:
         return found
     local = settings.changed(local_window=COARSE)
-    other, _ = _coarse_to_fine(I1, I2, local, known, progress)
+    other, _ = _coarse_to_fine(I1, I2, local, known, left_out, progress)
     pair = found.pair
     missed, less = (
         1 - details(pair.I1, pair.I2, f.lengths, pair.grid, pair.live) for f in (found, other)
@@ -229,7 +233,7 @@ def estimate_displacement(
 
 
 def _coarse_to_fine(
-    I1: Array, I2: Array, settings: Estimation, known: Known, progress: bool
+    I1: Array, I2: Array, settings: Estimation, known: Known, left_out: Mask, progress: bool
 ) -> tuple[Estimate, bool]:
     """The estimate, and whether brightness changes so much that it may have taken that for motion.
 
@@ -238,8 +242,6 @@ def _coarse_to_fine(
     each other.
     """
     problem = Problem.of(I1.shape, settings, known)
-    if settings.robust and I1.ndim == 2:
-        known = without_labels(problem, I1, I2, known)
     pairs = sampled_pairs(I1, I2, problem.grids, settings, known)
     decides = settings.robust and settings.local_window is None and I1.ndim == 2
     u = problem.u_bg
@@ -254,37 +256,11 @@ def _coarse_to_fine(
             u = leave_out(problem, number, pairs, u) if I1.ndim == 2 else u
     spacing = unit_spacing(known.sides(I1.ndim))
     u = problem.carried(u, I1.shape) / componentwise(spacing, I1.ndim)
-    edges = tuple(problem.v_edges)
-    found = Estimate(u, alpha, pair, settings.denoising, F, level.base, factor, spacing, edges)
+    edges, width = tuple(problem.v_edges), settings.denoising
+    found = Estimate(u, alpha, pair, width, F, level.base, factor, left_out, spacing, edges)
     coarser = pairs[max(0, len(pairs) - FINEST)]
     lengths = resize_field(found.lengths, coarser.grid.shape)
     return found, decides and coarser.shading(lengths) > SHADED
-
-
-def without_labels(problem: Problem, I1: Array, I2: Array, known: Known) -> Known:
-    """What is known, with labels that are printed on both images among the dead pixels.
-
-    What may be one is left out first. Where the motion that the others show is not its own, but
-    standing still is, it is one.
-    """
-    doubted = suspects(*normalise(I1, I2))
-    if not doubted.any():
-        return known
-    dead = np.zeros_like(doubted) if known.dead is None else known.dead
-    grids = problem.grids[: largest_small(problem.grids) + 1]
-    u = problem.u_bg
-    without = replace(known, dead=dead | doubted)
-    for number, pair in enumerate(sampled_pairs(I1, I2, grids, problem.settings, without)):
-        u = problem.level(number, pair, u).improve((), False).u
-    whole = sampled_pairs(I1, I2, grids, problem.settings, known)[-1]
-    still = standing(whole.I1, whole.I2, u, whole.grid, resized(doubted, whole.grid.shape))
-    return replace(known, dead=dead | (doubted & resized(still, doubted.shape)))
-
-
-def largest_small(grids: Sequence[Grid]) -> int:
-    """Number of the largest grid of up to ``SIDE``^ndim samples, or of the coarsest."""
-    ndim = grids[0].ndim
-    return max(sum(math.prod(grid.shape) <= SIDE[ndim] ** ndim for grid in grids) - 1, 0)
 
 
 def best_start(problem: Problem, number: int, pairs: Sequence[ImagePair], u: Array) -> Array:

@@ -28,7 +28,6 @@ from eofm.grid import (
 )
 from eofm.imaging.defects import defects, filled
 from eofm.imaging.intensity import normalise, normalise_locally
-from eofm.imaging.printed import printed
 from eofm.imaging.splines import evaluate_field, resize, resize_field
 from eofm.settings import Estimation
 
@@ -244,7 +243,6 @@ def sampled_pairs(
     before = after = dead
     if settings.robust:
         J1, J2 = normalise(I1, I2)
-        dead = dead | printed(J1, J2)
         before, after = dead | defects(filled(J1, dead)), dead | defects(filled(J2, dead))
         I1, I2 = filled(I1, before), filled(I2, after)
     images = [sampled(I, grids) for I in normalised(I1, I2, settings, sides)]

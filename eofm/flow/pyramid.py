@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from math import ceil
+from math import ceil, prod
 
 from tqdm import tqdm
 
@@ -15,6 +15,8 @@ SMALLEST = 4
 # Fewer than this are not asked for where the number of scales is left open; the depth of a volume,
 # mostly its shortest side, stays as it is then.
 SMALL = 12
+# Side of the image, or volume, on which starts are compared, samples.
+SIDE = {2: 160, 3: 48}
 
 
 def pyramid(
@@ -60,6 +62,12 @@ def _coarser(shape: tuple[int, ...], factor: float, least: int) -> tuple[int, ..
     if len(shape) == 3 and coarser[0] < least:
         coarser = shape[0], *coarser[1:]
     return None if min(coarser[-2:]) < least or coarser == shape else coarser
+
+
+def largest_small(grids: Sequence[Grid]) -> int:
+    """Number of the largest grid of up to ``SIDE``^ndim samples, or of the coarsest."""
+    ndim = grids[0].ndim
+    return max(sum(prod(grid.shape) <= SIDE[ndim] ** ndim for grid in grids) - 1, 0)
 
 
 def _size(shape: tuple[int, ...]) -> str:

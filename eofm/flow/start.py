@@ -34,10 +34,6 @@ PATCH, FLAT, DETAIL, MOST = 3.0, 0.01, 2.0, 0.25
 # How much less than 1 their correlation is where they are likely, and certain, to show different
 # things: at least, and as a multiple of the median.
 UNLIKE, UNUSUAL = (0.2, 0.4), (4.0, 8.0)
-# Part of the squared difference that standing still leaves of that which a motion leaves, where
-# something stays; and the motion of that which standing still leaves, in the rest, of whose pixels
-# no more than so much comes from what is doubted; and the least motion, samples.
-STAYS, MOVES, CLEAN, FAR = 0.25, 0.5, 0.05, 0.2
 TINY = 1e-12
 
 
@@ -120,28 +116,6 @@ def unlike(I1: Array, I2: Array, u: Array, grid: Grid, live: Mask) -> Mask | Non
     sure = np.unique(label[miss > max(UNLIKE[1], UNUSUAL[1] * usual)])
     found = ndimage.binary_fill_holes(np.isin(label, sure[sure > 0]))
     return found if 0 < np.count_nonzero(found) <= MOST * found.size else None
-
-
-def standing(I1: Array, I2: Array, u: Array, grid: Grid, doubted: Mask) -> Mask:
-    """Where some parts stay as they are, though a displacement carries the rest of the image.
-
-    None where the displacement is hardly one.
-    """
-    from scipy import ndimage
-
-    samples = grid.samples(u)
-    warped, seen = Spline(I2).warp(samples)
-    moved, stayed = ((J - I1) ** 2 for J in (warped, I2))
-    rest = seen & ~doubted & (Spline(doubted.astype(I2.dtype)).warp(samples)[0] < CLEAN)
-    if not moved[rest].sum() < MOVES * stayed[rest].sum():
-        return np.zeros_like(doubted)
-    moved, stayed = (blur(np.where(doubted, f, 0), PATCH) for f in (moved, stayed))
-    still = doubted & seen & (np.hypot(*samples) > FAR) & (stayed < STAYS * moved)
-    # Parts most of which stay do so as a whole.
-    label, count = ndimage.label(doubted, np.ones((3,) * I1.ndim))
-    stays, size = (np.bincount(label[at], minlength=count + 1) for at in (still, doubted))
-    found: Mask = still | (2 * stays > size)[label]
-    return found
 
 
 def details(I1: Array, I2: Array, u: Array, grid: Grid, live: Mask) -> float:

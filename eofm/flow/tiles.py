@@ -413,9 +413,16 @@ def solve(scale: Scale, tile: Tile, start: Array, choice: Choice, draws: int, se
     samples = level.pair.grid.samples(u)
     deviation = None
     if draws:
-        F, denoising, spacing = better.functional, settings.denoising, scale.grid.spacing
         found = Estimate(
-            samples, better.alpha, level.pair, denoising, F, level.base, better.ease, spacing
+            samples,
+            better.alpha,
+            level.pair,
+            settings.denoising,
+            better.functional,
+            level.base,
+            better.ease,
+            np.zeros(samples.shape[1:], dtype=bool),  # a tile does not see frames
+            scale.grid.spacing,
         )
         deviation = found.deviation(draws, seed)
     match, inner = replace(level.pair, robust=False).linearise(u), tile.inner

@@ -11,6 +11,9 @@ MARGIN = 2
 # Where a frame ends, the sample begins at once: what is beside it differs from its value by so much
 # of what all others do. A sample that is black itself, or clipped, goes over to that smoothly.
 ABRUPT = 0.5
+# Part of the spread of other rows that a row of a frame has at most; rows next to it, and the part
+# of what these are off at most that the first of them is at least.
+FLAT, NEXT, BESIDE = 0.35, 4, 0.7
 # Part of the pixels beside a sector that may have its value in one image only; and values at the
 # edges that are looked at.
 CHANGED, VALUES = 0.25, 4
@@ -22,8 +25,8 @@ ENDS = (0, 1), (-1, -1)
 TINY = float(np.finfo(np.float32).tiny)
 
 
-def printed(I1: Array, I2: Array) -> Mask:
-    """Pixels of frames, sectors and labels, with what is next to them.
+def frames(I1: Array, I2: Array) -> Mask:
+    """Pixels of frames and of sectors, with what is next to them.
 
     Parameters
     ----------
@@ -44,21 +47,30 @@ def printed(I1: Array, I2: Array) -> Mask:
 
 def _box(I1: Array, I2: Array) -> tuple[slice, ...]:
     """What is inside of a frame of whole rows and columns; each edge may have another value."""
-    widths = []
-    for axis, n in enumerate(I1.shape):
-        across = tuple(k for k in range(I1.ndim) if k != axis)
-        low, high = (f([f(I, across) for I in (I1, I2)], 0) for f in (np.min, np.max))
-        flat = low == high
-        ends = [int(np.argmin([*(flat & (low == low[end]))[::step], False])) for end, step in ENDS]
-        widths.append(ends if sum(ends) < n else [0, 0])
-    inner = tuple(slice(a, n - b) for (a, b), n in zip(widths, I1.shape, strict=True))
-    for axis, ends in enumerate(widths):
-        for k, (end, _) in enumerate(ENDS):
-            if ends[k]:
-                off = _off(I1[inner], I2[inner], float(np.take(I1, end, axis).flat[0]))
-                if not np.take(off, end, axis).mean() > ABRUPT * off.mean():
-                    ends[k] = 0
-    return tuple(slice(a, n - b) for (a, b), n in zip(widths, I1.shape, strict=True))
+    inner = tuple(slice(0, n) for n in I1.shape)
+    # Rows end in the columns of a frame, which may have another value.
+    for axis in 2 * tuple(range(I1.ndim)):
+        start, stop = inner[axis].start, inner[axis].stop
+        before, after = (_width(I1[inner], I2[inner], axis, end, step) for end, step in ENDS)
+        if before + after < stop - start:
+            inner = *inner[:axis], slice(start + before, stop - after), *inner[axis + 1 :]
+    return inner
+
+
+def _width(I1: Array, I2: Array, axis: int, end: int, step: int) -> int:
+    """How many rows from an end on are a frame: have one value, but for noise, in both images."""
+    across = tuple(k for k in range(I1.ndim) if k != axis)
+    counts = set[int]()
+    for I in (I1, I2):
+        means, spreads = I.mean(across)[::step], I.std(across)[::step]
+        least = FLAT * float(np.median(spreads))
+        flat = (spreads <= least) & (np.abs(means - means[0]) <= least)
+        counts.add(int(np.argmin([*flat, False])))
+    count = counts.pop()
+    if counts or not 0 < count < I1.shape[axis]:
+        return 0
+    off = _off(I1, I2, float(np.take(I1, end, axis).mean())).mean(across)[::step][count:]
+    return count if off[0] > max(ABRUPT * off.mean(), BESIDE * off[:NEXT].max()) else 0
 
 
 def _off(I1: Array, I2: Array, value: float) -> Array:
@@ -114,6 +126,6 @@ def suspects(I1: Array, I2: Array) -> Mask:
         still = change * slope[0] <= STILL * change[0] * (slope + TINY)
         still &= np.bincount(label[near], minlength=count + 1) >= LEAST
         still[0] = False
-        found |= still[label]
-    found &= found.mean() < RARE
+        some = still[label]
+        found |= some & (some.mean() < RARE)
     return ndimage.binary_dilation(found, iterations=MARGIN) if found.any() else found

@@ -28,6 +28,7 @@ GOOD = {
     "share_held_by_regulariser": 0.0,
     "looks_linear": False,
     "defect_share": [{}, {}],
+    "printed_share": 0.0,
 }
 
 
@@ -102,6 +103,7 @@ def test_a_sequence_says_that_it_is_the_sum():
             "frame 2: highlights (2.00%), single pixels (0.10%)",
             "lower gain",
         ),
+        ({"printed_share": 0.13}, "note", "cover 13.0%", "crop frames"),
         ({"dead_share": 0.2}, "note", "The mask leaves out 20%", ""),
         ({"looks_linear": True}, "note", "looks like linear intensity", "--intensity log"),
     ],

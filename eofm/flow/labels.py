@@ -1,0 +1,75 @@
+"""What is printed on both images: frames, and labels, which stay where the sample moves."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from eofm.flow.known import Known
+from eofm.flow.matching import ImagePair
+from eofm.flow.problem import Problem, resized, sampled_pairs
+from eofm.flow.pyramid import largest_small
+from eofm.grid import Array, Mask
+from eofm.imaging.defects import filled
+from eofm.imaging.gaussian import blur
+from eofm.imaging.intensity import normalise
+from eofm.imaging.printed import frames, suspects
+from eofm.imaging.splines import Spline
+from eofm.settings import Estimation
+
+# Part of the squared difference that standing still leaves of that which a motion leaves, where
+# something stays; and the motion of that which standing still leaves, in the rest, of whose pixels
+# no more than so much comes from what is doubted; and the least motion, samples.
+STAYS, MOVES, CLEAN, FAR = 0.25, 0.5, 0.05, 0.2
+# Width over which differences are averaged, samples.
+WIDTH = 3.0
+
+
+def printed(I1: Array, I2: Array, settings: Estimation, known: Known) -> Mask:
+    """Frames and labels; of volumes, frames alone.
+
+    What may be a label is left out first. It is one where the motion that the others show is not
+    its own, but standing still is.
+    """
+    I1, I2 = normalise(I1, I2)
+    found = frames(I1, I2)
+    dead = found if known.dead is None else found | known.dead
+    if I1.ndim == 3:
+        return found
+    doubted = suspects(filled(I1, dead), filled(I2, dead)) & ~dead
+    if not doubted.any():
+        return found
+    problem = Problem.of(I1.shape, settings, known)
+    grids = problem.grids[: largest_small(problem.grids) + 1]
+
+    def pairs(dead: Mask) -> list[ImagePair]:
+        return sampled_pairs(I1, I2, grids, settings, replace(known, dead=dead))
+
+    u = problem.u_bg
+    for number, pair in enumerate(pairs(dead | doubted)):
+        u = problem.level(number, pair, u).improve((), False).u
+    whole, small = pairs(dead)[-1], resized(doubted, grids[-1].shape)
+    still = standing(whole, u, small)
+    return found | (doubted & resized(still, doubted.shape))
+
+
+def standing(pair: ImagePair, u: Array, doubted: Mask) -> Mask:
+    """Where some parts stay as they are, though a displacement carries the rest of the image.
+
+    None where the displacement is hardly one.
+    """
+    from scipy import ndimage
+
+    samples = pair.grid.samples(u)
+    warped, seen = Spline(pair.I2).warp(samples)
+    moved, stayed = ((J - pair.I1) ** 2 for J in (warped, pair.I2))
+    out = (doubted | ~pair.live).astype(pair.I2.dtype)
+    rest = seen & (out == 0) & (Spline(out).warp(samples)[0] < CLEAN)
+    if not moved[rest].sum() < MOVES * stayed[rest].sum():
+        return np.zeros_like(doubted)
+    moved, stayed = (blur(np.where(doubted, f, 0), WIDTH) for f in (moved, stayed))
+    still = doubted & seen & (np.hypot(*samples) > FAR) & (stayed < STAYS * moved)
+    # Parts most of which stay do so as a whole.
+    label, count = ndimage.label(doubted, np.ones((3,) * doubted.ndim))
+    stays, size = (np.bincount(label[at], minlength=count + 1) for at in (still, doubted))
+    found: Mask = still | (2 * stays > size)[label]
+    return found
