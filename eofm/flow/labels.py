@@ -17,11 +17,11 @@ from eofm.imaging.splines import Spline
 from eofm.settings import Estimation
 
 # Part of the squared difference that standing still leaves of that which a motion leaves, where
-# something stays; and the motion of that which standing still leaves, in the rest, of whose pixels
-# no more than so much comes from what is doubted; and the least motion, samples.
+# something stays; and the motion of that which standing still leaves, in the rest around, of whose
+# pixels no more than so much comes from what is doubted; and the least motion, samples.
 STAYS, MOVES, CLEAN, FAR = 0.25, 0.5, 0.05, 0.2
-# Width over which differences are averaged, samples.
-WIDTH = 3.0
+# Widths over which differences are averaged, there and in the rest around, samples.
+WIDTH, WIDE = 3.0, 8.0
 
 
 def printed(I1: Array, I2: Array, settings: Estimation, known: Known) -> Mask:
@@ -64,10 +64,13 @@ def standing(pair: ImagePair, u: Array, doubted: Mask) -> Mask:
     moved, stayed = ((J - pair.I1) ** 2 for J in (warped, pair.I2))
     out = (doubted | ~pair.live).astype(pair.I2.dtype)
     rest = seen & (out == 0) & (Spline(out).warp(samples)[0] < CLEAN)
-    if not moved[rest].sum() < MOVES * stayed[rest].sum():
-        return np.zeros_like(doubted)
-    moved, stayed = (blur(np.where(doubted, f, 0), WIDTH) for f in (moved, stayed))
-    still = doubted & seen & (np.hypot(*samples) > FAR) & (stayed < STAYS * moved)
+
+    def around(mask: Mask, width: float) -> tuple[Array, ...]:
+        return tuple(blur(np.where(mask, f, 0), width) for f in (moved, stayed))
+
+    (moved_there, stayed_there), (moved_by, stayed_by) = around(doubted, WIDTH), around(rest, WIDE)
+    still = doubted & seen & (np.hypot(*samples) > FAR)
+    still &= (stayed_there < STAYS * moved_there) & (moved_by < MOVES * stayed_by)
     # Parts most of which stay do so as a whole.
     label, count = ndimage.label(doubted, np.ones((3,) * doubted.ndim))
     stays, size = (np.bincount(label[at], minlength=count + 1) for at in (still, doubted))

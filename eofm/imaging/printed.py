@@ -18,8 +18,9 @@ FLAT, NEXT, BESIDE = 0.35, 4, 0.7
 # edges that are looked at.
 CHANGED, VALUES = 0.25, 4
 # Labels are nearly as bright or as dark as anything, in so many pixels. The images differ there,
-# for their gradients, by so much of what they do elsewhere; and they cover so much at most.
-EXTREME, LEAST, STILL, RARE = (1 / 16, 1 / 4), 8, 0.3, 0.1
+# for their gradients, by so much of what they do elsewhere; gradients of both are nearly as large;
+# and they cover so much at most.
+EXTREME, LEAST, STILL, ALIKE, RARE = (1 / 16, 1 / 4), 8, 0.2, 0.15, 0.1
 # First and last of an axis, and which way it goes on from there.
 ENDS = (0, 1), (-1, -1)
 TINY = float(np.finfo(np.float32).tiny)
@@ -109,23 +110,26 @@ def suspects(I1: Array, I2: Array) -> Mask:
     """
     from scipy import ndimage
 
-    found = np.zeros(I1.shape, dtype=bool)
     differs = np.abs(I1 - I2)
-    slopes = np.sqrt(sum(np.square(np.gradient((I1 + I2) / 2, axis=k)) for k in range(I1.ndim)))
+    slopes = [
+        np.sqrt(sum(np.square(np.gradient(I, axis=k)) for k in range(I.ndim))) for I in (I1, I2)
+    ]
     whole = ndimage.generate_binary_structure(I1.ndim, I1.ndim)
     ends = min(I1.min(), I2.min()), max(I1.max(), I2.max())
+    # Change of the images for their gradients, of the part of a pixel.
+    changes = np.full(I1.shape, np.inf)
     for value, apart in product(ends, EXTREME):
         near = np.maximum(np.abs(I1 - value), np.abs(I2 - value)) <= apart
-        if np.count_nonzero(near) < LEAST:
-            continue
         # Letters belong together, and what is beside them to them.
         label, count = ndimage.label(ndimage.binary_dilation(near, whole, MARGIN), whole)
-        change, slope = (
-            np.bincount(label.ravel(), f.ravel(), count + 1) for f in (differs, slopes)
+        change, slope1, slope2 = (
+            np.bincount(label.ravel(), f.ravel(), count + 1) for f in (differs, *slopes)
         )
-        still = change * slope[0] <= STILL * change[0] * (slope + TINY)
-        still &= np.bincount(label[near], minlength=count + 1) >= LEAST
-        still[0] = False
-        some = still[label]
-        found |= some & (some.mean() < RARE)
+        slope = slope1 + slope2 + TINY
+        change *= slope[0] / (slope * (change[0] + TINY))
+        one = np.abs(slope1 - slope2) > ALIKE * slope
+        change[one | (np.bincount(label[near], minlength=count + 1) < LEAST)] = np.inf
+        change[0] = np.inf
+        changes = np.minimum(changes, change[label])
+    found: Mask = changes < min(STILL, np.quantile(changes, RARE, method="lower"))
     return ndimage.binary_dilation(found, iterations=MARGIN) if found.any() else found
