@@ -18,9 +18,9 @@ FLAT, NEXT, BESIDE = 0.35, 4, 0.7
 # edges that are looked at.
 CHANGED, VALUES = 0.25, 4
 # Labels are nearly as bright or as dark as anything, in so many pixels. The images differ there,
-# for their gradients, by so much of what they do elsewhere; gradients of both are nearly as large;
-# and they cover so much at most.
-EXTREME, LEAST, STILL, ALIKE, RARE = (1 / 16, 1 / 4), 8, 0.2, 0.15, 0.1
+# for their gradients, by so much of what they do elsewhere; gradients of both are nearly as large,
+# and steeper than elsewhere; and they cover so much at most.
+EXTREME, LEAST, STILL, ALIKE, SHARP, RARE = (1 / 16, 1 / 4), 8, 0.2, 0.15, 1.5, 0.1
 # First and last of an axis, and which way it goes on from there.
 ENDS = (0, 1), (-1, -1)
 TINY = float(np.finfo(np.float32).tiny)
@@ -92,6 +92,8 @@ def _sectors(I1: Array, I2: Array) -> Mask:
         label, count = ndimage.label(alike, ndimage.generate_binary_structure(I1.ndim, I1.ndim))
         beside = ndimage.maximum_filter(label, 3)
         beside[alike] = 0
+        if alike.all():
+            continue
         off, changed = _off(I1, I2, value), (value == I1) != (value == I2)
         touching = np.maximum(np.bincount(beside.ravel(), minlength=count + 1), 1)
         jump = np.bincount(beside.ravel(), off.ravel(), count + 1) / touching
@@ -110,26 +112,39 @@ def suspects(I1: Array, I2: Array) -> Mask:
     """
     from scipy import ndimage
 
-    differs = np.abs(I1 - I2)
     slopes = [
         np.sqrt(sum(np.square(np.gradient(I, axis=k)) for k in range(I.ndim))) for I in (I1, I2)
     ]
-    whole = ndimage.generate_binary_structure(I1.ndim, I1.ndim)
-    ends = min(I1.min(), I2.min()), max(I1.max(), I2.max())
-    # Change of the images for their gradients, of the part of a pixel.
-    changes = np.full(I1.shape, np.inf)
+    seen = np.abs(I1 - I2), *slopes, slopes[0] ** 2 + slopes[1] ** 2
+    changes, ends = np.full(I1.shape, np.inf), (min(I1.min(), I2.min()), max(I1.max(), I2.max()))
     for value, apart in product(ends, EXTREME):
         near = np.maximum(np.abs(I1 - value), np.abs(I2 - value)) <= apart
-        # Letters belong together, and what is beside them to them.
-        label, count = ndimage.label(ndimage.binary_dilation(near, whole, MARGIN), whole)
-        change, slope1, slope2 = (
-            np.bincount(label.ravel(), f.ravel(), count + 1) for f in (differs, *slopes)
-        )
-        slope = slope1 + slope2 + TINY
-        change *= slope[0] / (slope * (change[0] + TINY))
-        one = np.abs(slope1 - slope2) > ALIKE * slope
-        change[one | (np.bincount(label[near], minlength=count + 1) < LEAST)] = np.inf
-        change[0] = np.inf
-        changes = np.minimum(changes, change[label])
+        if np.count_nonzero(near) >= LEAST:
+            changes = np.minimum(changes, _changes(near, *seen))
     found: Mask = changes < min(STILL, np.quantile(changes, RARE, method="lower"))
     return ndimage.binary_dilation(found, iterations=MARGIN) if found.any() else found
+
+
+def _changes(near: Mask, differs: Array, slope1: Array, slope2: Array, squares: Array) -> Array:
+    """How much images change in parts that may be labels, as a part of what they do elsewhere.
+
+    For their gradients, as what moves by less changes less; infinite elsewhere.
+    """
+    from scipy import ndimage
+
+    whole = ndimage.generate_binary_structure(near.ndim, near.ndim)
+    # Letters belong together, and what is beside them to them.
+    label, count = ndimage.label(ndimage.binary_dilation(near, whole, MARGIN), whole)
+    at = np.nonzero(label)
+    number = label[at]
+    change, first, second, square = (
+        np.bincount(number, f[at], count + 1) for f in (differs, slope1, slope2, squares)
+    )
+    slope = first + second + TINY
+    rest = float(slope1.sum() + slope2.sum() - slope.sum()) + TINY
+    usual = float(differs.sum() - change.sum()) / rest, float(squares.sum() - square.sum()) / rest
+    told = (np.abs(first - second) <= ALIKE * slope) & (square / slope >= SHARP * usual[1])
+    told &= np.bincount(label[near], minlength=count + 1) >= LEAST
+    told[0] = False
+    changes: Array = np.where(told, change / slope / (usual[0] + TINY), np.inf)[label]
+    return changes

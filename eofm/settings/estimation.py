@@ -136,8 +136,8 @@ class Estimation(Section):
     robust: bool = Field(
         True,
         description="whether to fit changes of brightness and contrast, to weigh residuals by"
-        " their noise, to leave out highlights, saturated lines and impulses, and to search far"
-        " away",
+        " their noise, to leave out highlights, saturated lines, impulses and what is printed on"
+        " both images, and to search far away",
     )
 
     @model_validator(mode="before")

@@ -111,6 +111,31 @@ def _everything(I1: Array, I2: Array, rng: np.random.Generator) -> tuple[Array, 
     return I1, I2
 
 
+def _frame(I1: Array, I2: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """A black frame, as scan conversion and registration leave one."""
+    I1, I2 = I1.copy(), I2.copy()
+    for I in (I1, I2):
+        I[~_framed(I.shape)] = I1.min()
+    return I1, I2
+
+
+def _framed(shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """What a frame of a twelfth of the sides leaves."""
+    inner = np.zeros(shape, dtype=bool)
+    inner[tuple(slice(n // 12, n - n // 12) for n in shape)] = True
+    return inner
+
+
+def _label(I1: Array, I2: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Letters of a pixel's width at the top left, a scale bar at the bottom right."""
+    I1, I2, top = I1.copy(), I2.copy(), max(I1.max(), I2.max())
+    for I in (I1, I2):
+        I[6:17, 8:58:5] = top
+        I[6:17:5, 8:58] = top
+        I[-14:-11, -50:-10] = top
+    return I1, I2
+
+
 CONDITIONS: dict[str, Callable[..., tuple[Array, Array]]] = {
     "none": _none,
     "ramp": _ramp,
@@ -125,6 +150,8 @@ CONDITIONS: dict[str, Callable[..., tuple[Array, Array]]] = {
     "saturated_row": _row,
     "dark_patch": _patch,
     "salt_and_pepper": _salt_and_pepper,
+    "frame": _frame,
+    "label": _label,
     "noise_5": _noise(0.05),
     "noise_10": _noise(0.10),
     "everything": _everything,
@@ -135,4 +162,9 @@ def under(scene: Scene, condition: str, seed: int) -> Scene:
     """The scene with its images changed by a condition."""
     rng = np.random.default_rng([seed, 4])
     I1, I2 = CONDITIONS[condition](scene.I1, scene.I2, rng)
-    return scene._replace(I1=I1, I2=I2)
+    counted = scene.counted
+    if condition == "frame":
+        seen = _framed(counted.shape)
+        x = np.mgrid[: counted.shape[0], : counted.shape[1]] + scene.u[::-1]
+        counted = counted & seen & (ndimage.map_coordinates(seen.astype(float), x, order=1) == 1)
+    return scene._replace(I1=I1, I2=I2, counted=counted)
