@@ -13,7 +13,7 @@ from eofm.flow.functional import Quadratic
 from eofm.flow.known import Known
 from eofm.flow.labels import printed
 from eofm.flow.matching import ImagePair, Match
-from eofm.flow.problem import COARSE, FINEST, Problem, resized, sampled_pairs
+from eofm.flow.problem import COARSE, FINEST, Improved, Level, Problem, resized, sampled_pairs
 from eofm.flow.pyramid import largest_small
 from eofm.flow.start import correlation, details, match_blocks, unlike
 from eofm.flow.trust import Trust, judge
@@ -30,6 +30,9 @@ VARIANCE = 4.0
 # Change of brightness, as a part of the contrast, that may be taken for motion. Images are then
 # normalised locally where that leaves fewer of the details unlike: by this factor, and difference.
 SHADED, LESS, CLEARLY = 0.05, 0.98, 1e-3
+# Change of brightness up to which there may be none, and what another field then leaves of the
+# images' difference at most.
+STEADY, BETTER = 0.02, 0.95
 # How often what the images do not share is looked for, and how far from dead pixels, samples.
 TURNS, BESIDE = 3, 6
 
@@ -254,13 +257,30 @@ def _coarse_to_fine(
         if settings.robust and number == compared:
             u = best_start(problem, number, pairs, u)
             u = leave_out(problem, number, pairs, u) if I1.ndim == 2 else u
+    shading = 0.0
+    if decides:
+        coarser = pairs[max(0, len(pairs) - FINEST)]
+        shading = coarser.shading(resize_field(u, coarser.grid.shape))
+        if shading < STEADY and (better := steady(level, u, alpha)):
+            pair, (u, alpha, F, chosen, factor) = better
     spacing = unit_spacing(known.sides(I1.ndim))
     u = problem.carried(u, I1.shape) / componentwise(spacing, I1.ndim)
     edges, width = tuple(problem.v_edges), settings.denoising
     found = Estimate(u, alpha, pair, width, F, level.base, factor, left_out, spacing, edges)
-    coarser = pairs[max(0, len(pairs) - FINEST)]
-    lengths = resize_field(found.lengths, coarser.grid.shape)
-    return found, decides and coarser.shading(lengths) > SHADED
+    return found, shading > SHADED
+
+
+def steady(level: Level, u: Array, alpha: float) -> tuple[ImagePair, Improved] | None:
+    """A field for images of one gain and one offset, and the images so, if it is clearly better.
+
+    What is left of the motion of large structures looks like a change of brightness, and one that
+    is fitted locally takes it away. Even so it is that fit which has to leave less of the
+    images: it favours the field that was found with it.
+    """
+    pair = replace(level.pair, even=True)
+    found = replace(level, pair=pair, coarse=u, decides=False).improve((alpha,), False)
+    before, after = (level.pair.linearise(f) for f in (u, found.u))
+    return (pair, found) if after.noise < BETTER * before.noise else None
 
 
 def best_start(problem: Problem, number: int, pairs: Sequence[ImagePair], u: Array) -> Array:

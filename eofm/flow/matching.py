@@ -234,6 +234,8 @@ class ImagePair:
         Where the grid begins in I2, samples, lateral first, if that shows more than the grid.
     overall : Overall
         Of the whole images, if these are parts.
+    even : bool
+        Whether the brightness and contrast that I1 is given are those of the whole image.
     """
 
     grid: Grid
@@ -246,6 +248,7 @@ class ImagePair:
     straight: bool = False
     offset: tuple[int, ...] = ()
     overall: Overall = field(default_factory=Overall)
+    even: bool = False
 
     def linearise(self, u: Array) -> Match:
         """Return the images linearised about a displacement."""
@@ -290,6 +293,10 @@ class ImagePair:
         I1, contrast = self.I1, np.ones((), u.dtype)
         if self.robust and used.any():
             gain, offset, contrast = brightness(I1, warped, used, self.overall)
+            if self.even:
+                a, b = I1[used], warped[used]
+                gain[:] = b.std() / (a.std() + TINY)
+                offset[:] = b.mean() - gain * a.mean()
             g1 *= gain
             I1 = np.add(np.multiply(gain, I1, out=gain), offset, out=gain)
         if self.mean:

@@ -146,6 +146,21 @@ def test_what_appears_pulls_nothing():
     assert error(I1, I2, u, robust=False) > 0.5
 
 
+def test_what_is_left_of_the_motion_of_large_structures_is_no_brightness(monkeypatch):
+    u = motion((128, 128), 4.0)
+    x = np.mgrid[:128, :128][::-1].astype(float)
+    x2, x1 = np.mgrid[:128, :128] - 64.0
+    u[1] -= 3 * np.exp(-(x1**2 + x2**2) / (2 * 20**2))
+    I1, I2 = waves(x + u), waves(x)
+    found = eofm.estimate_displacement(I1, I2)
+    assert found.pair.even
+    shaded = eofm.estimate_displacement(I1, I2 * np.linspace(1.05, 0.95, 128)[:, None])
+    assert not shaded.pair.even
+    off = np.hypot(*(found.u - u)).mean()
+    monkeypatch.setattr(eofm.flow.estimate, "STEADY", 0.0)
+    assert off < 0.7 * error(I1, I2, u)
+
+
 @pytest.mark.parametrize("change", ["ramp", "gamma"])
 def test_brightness_that_changes_within_structures_is_no_motion(change, caplog, monkeypatch):
     u = motion((128, 128), 4.0)
