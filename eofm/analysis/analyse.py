@@ -195,7 +195,7 @@ def analyse(
     shape = frames[0].shape
     pixel_size = known.sides(len(shape))
     summary.check_measures(measures, shape, pixel_size)
-    dead = np.zeros(shape, dtype=bool) if known.dead is None else known.dead
+    dead = known.dead_on(shape)
     steps: list[Step] = []
     total, variance = (np.zeros((len(shape), *shape), precision(len(shape))) for _ in range(2))
     for I1, I2 in pairwise(frames):

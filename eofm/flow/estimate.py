@@ -219,7 +219,7 @@ def estimate_displacement(
     known.check(I1, I2)
     left_out = printed(I1, I2, settings, known) if settings.robust else np.zeros(I1.shape, bool)
     if left_out.any():
-        known = replace(known, dead=left_out if known.dead is None else left_out | known.dead)
+        known = replace(known, dead=left_out | known.dead_on(I1.shape))
     found, shaded = _coarse_to_fine(I1, I2, settings, known, left_out, progress)
     if not shaded:
         return found
@@ -262,7 +262,7 @@ def _coarse_to_fine(
         coarser = pairs[max(0, len(pairs) - FINEST)]
         shading = coarser.shading(resize_field(u, coarser.grid.shape))
         if shading < STEADY and (better := steady(level, u, alpha)):
-            pair, (u, alpha, F, chosen, factor) = better
+            pair, (u, alpha, F, _, factor) = better
     spacing = unit_spacing(known.sides(I1.ndim))
     u = problem.carried(u, I1.shape) / componentwise(spacing, I1.ndim)
     edges, width = tuple(problem.v_edges), settings.denoising

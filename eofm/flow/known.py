@@ -91,6 +91,10 @@ class Known:
             )
         return self.pixel_size[:ndim]
 
+    def dead_on(self, shape: tuple[int, ...]) -> Mask:
+        """Return the pixels that carry no data, of images of a shape; none if not stated."""
+        return np.zeros(shape, dtype=bool) if self.dead is None else self.dead
+
     def motions(self, shape: tuple[int, ...]) -> tuple[Array, Array]:
         """Centres and motions of the bubbles, shape (ndim, M) each, px; none give M = 0.
 

@@ -32,9 +32,9 @@ def printed(I1: Array, I2: Array, settings: Estimation, known: Known) -> Mask:
     """
     I1, I2 = normalise(I1, I2)
     found = frames(I1, I2)
-    dead = found if known.dead is None else found | known.dead
     if I1.ndim == 3:
         return found
+    dead = found | known.dead_on(I1.shape)
     doubted = suspects(filled(I1, dead), filled(I2, dead)) & ~dead
     if not doubted.any():
         return found

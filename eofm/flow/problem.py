@@ -238,7 +238,7 @@ def sampled_pairs(
     With ``settings.robust``, the pixels of defects are dead, and on all but the two finest grids
     brightness and contrast are normalised locally.
     """
-    dead = np.zeros(I1.shape, dtype=bool) if known.dead is None else known.dead
+    dead = known.dead_on(I1.shape)
     sides = known.sides(I1.ndim)
     before = after = dead
     if settings.robust:

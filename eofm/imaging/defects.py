@@ -4,6 +4,7 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from eofm.grid import Array, Mask
 from eofm.imaging.intensity import CHUNK, Window
@@ -180,8 +181,6 @@ def defects_by_kind(I: Array, levels: Levels | None = None) -> dict[str, Mask]:
     image or volume. Of a part of an image that has defects, the ``levels`` are those of the
     whole.
     """
-    from scipy import ndimage
-
     own = levels or Levels.of(I)
     if own is None:
         return {}
@@ -190,10 +189,31 @@ def defects_by_kind(I: Array, levels: Levels | None = None) -> dict[str, Mask]:
         single &= rare(single)
         if not rare(np.logical_or(*marked.values())):
             marked = {}
-    for kind, found in marked.items():
-        if found.any():
-            marked[kind] = ndimage.binary_dilation(found, iterations=MARGIN)
+    marked = {kind: with_margin(found) for kind, found in marked.items()}
     return marked | {"single pixels": single}
+
+
+def with_margin(found: Mask) -> Mask:
+    """Some pixels with what is next to them."""
+    if not found.any():
+        return found
+    from scipy import ndimage
+
+    wider: Mask = ndimage.binary_dilation(found, iterations=MARGIN)
+    return wider
+
+
+def parts(found: Mask) -> tuple[NDArray[np.integer], NDArray[np.integer], int]:
+    """Numbers, from 1, of the connected parts of a mask and of the part beside others; the count.
+
+    Corners connect. Both are 0 elsewhere.
+    """
+    from scipy import ndimage
+
+    label, count = ndimage.label(found, ndimage.generate_binary_structure(found.ndim, found.ndim))
+    beside = ndimage.maximum_filter(label, 3)
+    beside[found] = 0
+    return label, beside, count
 
 
 def _lines(I: Array, bright: Mask) -> Mask:
@@ -224,11 +244,9 @@ def _straight(I: Array, lines: Mask) -> Mask:
         f(I, THICK, mode="nearest") for f in (ndimage.minimum_filter, ndimage.maximum_filter)
     )
     lines = lines & ~ndimage.maximum_filter(low == high, THICK)
-    label, count = ndimage.label(lines, ndimage.generate_binary_structure(lines.ndim, lines.ndim))
+    label, wider, count = parts(lines)
     value = np.zeros(count + 1, I.dtype)
     value[label[lines]] = I[lines]
-    wider = ndimage.maximum_filter(label, 3)
-    wider[lines] = 0
     touching = np.bincount(wider.ravel(), minlength=count + 1)
     alike = np.bincount(wider[value[wider] == I], minlength=count + 1)
     straight: Mask = alike <= RAGGED * touching

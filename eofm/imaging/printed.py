@@ -1,13 +1,10 @@
 """What is printed on both images and stays: frames, sectors of scanners, text, scale bars."""
 
-from itertools import product
-
 import numpy as np
 
 from eofm.grid import Array, Mask
+from eofm.imaging.defects import MARGIN, parts, with_margin
 
-# How far around it the images are none the better, px.
-MARGIN = 2
 # Where a frame ends, the sample begins at once: what is beside it differs from its value by so much
 # of what all others do. A sample that is black itself, or clipped, goes over to that smoothly.
 ABRUPT = 0.5
@@ -37,41 +34,47 @@ def frames(I1: Array, I2: Array) -> Mask:
     found = np.zeros(I1.shape, dtype=bool)
     if np.array_equal(I1, I2):
         return found
-    from scipy import ndimage
-
     inner = _box(I1, I2)
     J1, J2 = I1[inner], I2[inner]
     found[...] = True
     found[inner] = _sectors(J1, J2)
-    return ndimage.binary_dilation(found, iterations=MARGIN) if found.any() else found
+    return with_margin(found)
 
 
 def _box(I1: Array, I2: Array) -> tuple[slice, ...]:
     """What is inside of a frame of whole rows and columns; each edge may have another value."""
-    inner = tuple(slice(0, n) for n in I1.shape)
+    inner = whole = tuple(slice(0, n) for n in I1.shape)
     # Rows end in the columns of a frame, which may have another value.
-    for axis in 2 * tuple(range(I1.ndim)):
-        start, stop = inner[axis].start, inner[axis].stop
-        before, after = (_width(I1[inner], I2[inner], axis, end, step) for end, step in ENDS)
-        if before + after < stop - start:
-            inner = *inner[:axis], slice(start + before, stop - after), *inner[axis + 1 :]
+    for _ in range(2):
+        for axis in range(I1.ndim):
+            start, stop = inner[axis].start, inner[axis].stop
+            before, after = _widths(I1[inner], I2[inner], axis)
+            if before + after < stop - start:
+                inner = *inner[:axis], slice(start + before, stop - after), *inner[axis + 1 :]
+        if inner == whole:
+            break
     return inner
 
 
-def _width(I1: Array, I2: Array, axis: int, end: int, step: int) -> int:
-    """How many rows from an end on are a frame: have one value, but for noise, in both images."""
+def _widths(I1: Array, I2: Array, axis: int) -> list[int]:
+    """How many rows from either end on are a frame: one value, but for noise, in both images."""
     across = tuple(k for k in range(I1.ndim) if k != axis)
-    counts = set[int]()
-    for I in (I1, I2):
-        means, spreads = I.mean(across)[::step], I.std(across)[::step]
-        least = FLAT * float(np.median(spreads))
-        flat = (spreads <= least) & (np.abs(means - means[0]) <= least)
-        counts.add(int(np.argmin([*flat, False])))
-    count = counts.pop()
-    if counts or not 0 < count < I1.shape[axis]:
-        return 0
-    off = _off(I1, I2, float(np.take(I1, end, axis).mean())).mean(across)[::step][count:]
-    return count if off[0] > max(ABRUPT * off.mean(), BESIDE * off[:NEXT].max()) else 0
+    lines = [(I.mean(across), I.std(across)) for I in (I1, I2)]
+    widths = []
+    for end, step in ENDS:
+        counts = set[int]()
+        for means, spreads in lines:
+            least = FLAT * float(np.median(spreads))
+            flat = (spreads <= least) & (np.abs(means - means[end]) <= least)
+            counts.add(int(np.argmin([*flat[::step], False])))
+        count = counts.pop()
+        if counts or not 0 < count < I1.shape[axis]:
+            widths.append(0)
+            continue
+        off = _off(I1, I2, float(np.take(I1, end, axis).mean())).mean(across)[::step][count:]
+        abrupt = off[0] > max(ABRUPT * off.mean(), BESIDE * off[:NEXT].max())
+        widths.append(count if abrupt else 0)
+    return widths
 
 
 def _off(I1: Array, I2: Array, value: float) -> Array:
@@ -81,19 +84,15 @@ def _off(I1: Array, I2: Array, value: float) -> Array:
 
 def _sectors(I1: Array, I2: Array) -> Mask:
     """Connected pixels of one value in both images, from the edges to where the sample begins."""
-    from scipy import ndimage
-
     found, rim = np.zeros(I1.shape, dtype=bool), np.ones(I1.shape, dtype=bool)
     rim[(slice(1, -1),) * I1.ndim] = False
     # What is clipped where it is bright ends at once as well.
     values, counts = np.unique(I1[rim & (I1 == I2) & (I1.max() > I1)], return_counts=True)
     for value in values[np.argsort(-counts, kind="stable")][:VALUES]:
         alike = (value == I1) & (value == I2)
-        label, count = ndimage.label(alike, ndimage.generate_binary_structure(I1.ndim, I1.ndim))
-        beside = ndimage.maximum_filter(label, 3)
-        beside[alike] = 0
         if alike.all():
             continue
+        label, beside, count = parts(alike)
         off, changed = _off(I1, I2, value), (value == I1) != (value == I2)
         touching = np.maximum(np.bincount(beside.ravel(), minlength=count + 1), 1)
         jump = np.bincount(beside.ravel(), off.ravel(), count + 1) / touching
@@ -110,19 +109,18 @@ def suspects(I1: Array, I2: Array) -> Mask:
 
     Labels, but also structures that are clipped where the sample hardly moves.
     """
-    from scipy import ndimage
-
     slopes = [
         np.sqrt(sum(np.square(np.gradient(I, axis=k)) for k in range(I.ndim))) for I in (I1, I2)
     ]
     seen = np.abs(I1 - I2), *slopes, slopes[0] ** 2 + slopes[1] ** 2
-    changes, ends = np.full(I1.shape, np.inf), (min(I1.min(), I2.min()), max(I1.max(), I2.max()))
-    for value, apart in product(ends, EXTREME):
-        near = np.maximum(np.abs(I1 - value), np.abs(I2 - value)) <= apart
-        if np.count_nonzero(near) >= LEAST:
-            changes = np.minimum(changes, _changes(near, *seen))
+    changes = np.full(I1.shape, np.inf)
+    for value in (min(I1.min(), I2.min()), max(I1.max(), I2.max())):
+        off = np.maximum(np.abs(I1 - value), np.abs(I2 - value))
+        for near in (off <= apart for apart in EXTREME):
+            if np.count_nonzero(near) >= LEAST:
+                changes = np.minimum(changes, _changes(near, *seen))
     found: Mask = changes < min(STILL, np.quantile(changes, RARE, method="lower"))
-    return ndimage.binary_dilation(found, iterations=MARGIN) if found.any() else found
+    return with_margin(found)
 
 
 def _changes(near: Mask, differs: Array, slope1: Array, slope2: Array, squares: Array) -> Array:
