@@ -16,8 +16,8 @@ from eofm.analysis.strain import strain
 from eofm.analysis.summary import length
 from eofm.errors import InputError
 from eofm.flow.estimate import Estimate, estimate_displacement
+from eofm.flow.images import normalised
 from eofm.flow.known import Known
-from eofm.flow.problem import normalised
 from eofm.flow.trust import Trust, Verdict
 from eofm.grid import FACES, Array, Mask, geometric_mean, precision, unit_spacing
 from eofm.identification.stiffness import Stiffness, identify_stiffness
@@ -216,6 +216,7 @@ def analyse(
     e = strain(total, pixel_size, window, measures.strain_measure)
     left = residual(first, last, total)
     printed = reduce(np.logical_or, (step.estimate.printed for step in steps))
+    lines = sorted({axis for step in steps for axis in step.estimate.lines})
     share = data_share(
         normalised(first, last, estimation, pixel_size)[0],
         estimation.smoothness,
@@ -228,7 +229,7 @@ def analyse(
     found |= summary.of_strain(e, measures, window, dead)
     without = residual(first, last, np.zeros_like(total))
     match = worst(steps).map
-    found |= summary.of_images(frames, dead, printed, (left, without), share, match)
+    found |= summary.of_images(frames, dead, printed, lines, (left, without), share, match)
     found["reach_px"] = summary.reach(shape, estimation)
     if (stiffness := steps[0].stiffness) is not None:
         found["stiffness"] = summary.of_stiffness(stiffness)

@@ -86,6 +86,7 @@ def doubts(summary: dict[str, Any]) -> list[Finding]:
         _bubbles,
         _defects,
         _printed,
+        _lines,
         _dead,
         _scale,
         _linear,
@@ -236,6 +237,15 @@ def _printed(summary: dict[str, Any]) -> Iterator[Finding]:
             f"Frames or labels, alike in both images, cover {summary['printed_share']:.1%}.",
             "They are left out, and what lies below them is not seen: crop frames, and export"
             " images without labels.",
+        )
+
+
+def _lines(summary: dict[str, Any]) -> Iterator[Finding]:
+    if lines := summary["lines_taken_off"]:
+        yield Finding(
+            "note",
+            f"Lines of a detector, the same {' and '.join(lines)} of both images, were taken off.",
+            "The mean of many frames without a sample, taken off all frames, removes them better.",
         )
 
 

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 HELD, MATCHED = 0.1, 0.5
 # Percentiles that stand for the range of a strain.
 RANGE = (1, 99)
+# What changes along each axis of a volume; of an image, the last two.
+LINES = "slices", "rows", "columns"
 
 
 def length(u: Array) -> Array:
@@ -80,6 +82,7 @@ def of_images(
     frames: Sequence[Array],
     dead: Mask,
     printed: Mask,
+    lines: Sequence[int],
     residuals: tuple[Array, Array],
     share: Array,
     match: Array,
@@ -95,6 +98,7 @@ def of_images(
         "looks_linear": looks_linear(frames[0]),
         "defect_share": [_defect_share(I, dead) for I in frames],
         "printed_share": float((printed & ~dead).mean()),
+        "lines_taken_off": [LINES[-frames[0].ndim :][axis] for axis in lines],
     }
 
 

@@ -15,7 +15,8 @@ from eofm.analysis.plan import Plan, planned
 from eofm.analysis.work import Work, read_choice
 from eofm.errors import InputError
 from eofm.flow.estimate import best_start
-from eofm.flow.problem import FINEST, nothing
+from eofm.flow.images import FINEST
+from eofm.flow.problem import nothing
 from eofm.flow.pyramid import largest_small
 from eofm.flow.tiles import shape_of, solve
 from eofm.imaging.greys import Greys

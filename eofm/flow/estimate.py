@@ -10,10 +10,11 @@ import numpy as np
 from tqdm import tqdm
 
 from eofm.flow.functional import Quadratic
+from eofm.flow.images import COARSE, FINEST, Images, resized
 from eofm.flow.known import Known
-from eofm.flow.labels import printed
+from eofm.flow.labels import labels, left, staying
 from eofm.flow.matching import ImagePair, Match
-from eofm.flow.problem import COARSE, FINEST, Improved, Level, Problem, resized, sampled_pairs
+from eofm.flow.problem import Improved, Level, Problem
 from eofm.flow.pyramid import largest_small
 from eofm.flow.start import correlation, details, match_blocks, unlike
 from eofm.flow.trust import Trust, judge
@@ -21,7 +22,9 @@ from eofm.flow.uncertainty import Errors
 from eofm.flow.weight import around
 from eofm.grid import Array, Edge, Mask, componentwise, unit_spacing
 from eofm.imaging.gaussian import blur
-from eofm.imaging.intensity import normalise_locally
+from eofm.imaging.intensity import normalise, normalise_locally
+from eofm.imaging.lines import Lines, lines, without
+from eofm.imaging.printed import frames
 from eofm.imaging.splines import resize, resize_field
 from eofm.settings import Estimation
 
@@ -68,6 +71,9 @@ class Estimate:
         Sides of a pixel in the unit of ``functional``, lateral first.
     edges : tuple of str
         Those whose motion was stated.
+    lines : tuple of int
+        Axes of the images along which lines of a detector change that were taken off: 0 for rows
+        and 1 for columns of an image.
     """
 
     u: Array
@@ -80,6 +86,7 @@ class Estimate:
     printed: Mask
     spacing: tuple[float, ...]
     edges: tuple[Edge, ...] = ()
+    lines: tuple[int, ...] = ()
 
     @property
     def weight(self) -> float | Array:
@@ -217,14 +224,42 @@ def estimate_displacement(
     True
     """
     known.check(I1, I2)
-    left_out = printed(I1, I2, settings, known) if settings.robust else np.zeros(I1.shape, bool)
-    if left_out.any():
+    if not settings.robust:
+        return _estimate(I1, I2, settings, known, progress)
+    frame = frames(*normalise(I1, I2))
+    dead = known.dead_on(I1.shape) | frame
+    known = replace(known, dead=dead if dead.any() else None)
+    found, taken = _estimate(I1, I2, settings, known, progress), tuple[Lines, ...]()
+    for single in (True, False):
+        doubted = lines(*without(taken, I1, I2), dead, single)
+        while doubted:
+            told = taken + doubted
+            other = _estimate(*without(told, I1, I2), settings, known, progress)
+            stay = staying(I1, I2, dead, other.u, told)
+            if stay == told:
+                much, less = (
+                    left(*without(some, I1, I2), dead, each.u)[0].std()
+                    for some, each in ((taken, found), (told, other))
+                )
+                found, taken = (other, told) if less < much else (found, taken)
+                break
+            doubted = tuple(line for line in doubted if line in stay)
+    axes = tuple(sorted({line.axis for line in taken}))
+    return replace(found, printed=found.printed | frame, lines=axes)
+
+
+def _estimate(I1: Array, I2: Array, settings: Estimation, known: Known, progress: bool) -> Estimate:
+    """The estimate, of images normalised locally where that leaves more of them alike."""
+    left_out = np.zeros(I1.shape, dtype=bool)
+    if settings.robust and I1.ndim == 2:
+        left_out = labels(I1, I2, settings, known)
         known = replace(known, dead=left_out | known.dead_on(I1.shape))
-    found, shaded = _coarse_to_fine(I1, I2, settings, known, left_out, progress)
+    images = Images.of(I1, I2, settings, known)
+    found, shaded = _coarse_to_fine(images, settings, known, left_out, progress)
     if not shaded:
         return found
     local = settings.changed(local_window=COARSE)
-    other, _ = _coarse_to_fine(I1, I2, local, known, left_out, progress)
+    other, _ = _coarse_to_fine(images, local, known, left_out, progress)
     pair = found.pair
     missed, less = (
         1 - details(pair.I1, pair.I2, f.lengths, pair.grid, pair.live) for f in (found, other)
@@ -236,7 +271,7 @@ def estimate_displacement(
 
 
 def _coarse_to_fine(
-    I1: Array, I2: Array, settings: Estimation, known: Known, left_out: Mask, progress: bool
+    images: Images, settings: Estimation, known: Known, left_out: Mask, progress: bool
 ) -> tuple[Estimate, bool]:
     """The estimate, and whether brightness changes so much that it may have taken that for motion.
 
@@ -244,9 +279,11 @@ def _coarse_to_fine(
     finest scales. Of volumes nothing is said: they are read in tiles, which know nothing of
     each other.
     """
-    problem = Problem.of(I1.shape, settings, known)
-    pairs = sampled_pairs(I1, I2, problem.grids, settings, known)
-    decides = settings.robust and settings.local_window is None and I1.ndim == 2
+    shape = images.I1.shape
+    ndim = len(shape)
+    problem = Problem.of(shape, settings, known)
+    pairs = images.pairs(problem.grids, settings, known)
+    decides = settings.robust and settings.local_window is None and ndim == 2
     u = problem.u_bg
     chosen: tuple[float, ...] = ()
     hidden = None if progress else True
@@ -256,15 +293,15 @@ def _coarse_to_fine(
         u, alpha, F, chosen, factor = level.improve(chosen, progress)
         if settings.robust and number == compared:
             u = best_start(problem, number, pairs, u)
-            u = leave_out(problem, number, pairs, u) if I1.ndim == 2 else u
+            u = leave_out(problem, number, pairs, u) if ndim == 2 else u
     shading = 0.0
     if decides:
         coarser = pairs[max(0, len(pairs) - FINEST)]
         shading = coarser.shading(resize_field(u, coarser.grid.shape))
         if shading < STEADY and (better := steady(level, u, alpha)):
             pair, (u, alpha, F, _, factor) = better
-    spacing = unit_spacing(known.sides(I1.ndim))
-    u = problem.carried(u, I1.shape) / componentwise(spacing, I1.ndim)
+    spacing = unit_spacing(known.sides(ndim))
+    u = problem.carried(u, shape) / componentwise(spacing, ndim)
     edges, width = tuple(problem.v_edges), settings.denoising
     found = Estimate(u, alpha, pair, width, F, level.base, factor, left_out, spacing, edges)
     return found, shading > SHADED

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from eofm.errors import InputError
 from eofm.flow.functional import Pointwise, Quadratic, edge_term, speckle_term
 from eofm.flow.known import Known
-from eofm.flow.matching import ImagePair, Match, Overall
+from eofm.flow.matching import ImagePair, Match
 from eofm.flow.multigrid import multigrid
-from eofm.flow.pyramid import pyramid, sampled, solving
+from eofm.flow.pyramid import pyramid, solving
 from eofm.flow.roughness import ease
 from eofm.flow.weight import choose_alpha, enough, first_alpha
 from eofm.grid import (
@@ -26,17 +26,12 @@ from eofm.grid import (
     precision,
     unit_spacing,
 )
-from eofm.imaging.defects import defects, filled
-from eofm.imaging.intensity import normalise, normalise_locally
-from eofm.imaging.splines import evaluate_field, resize, resize_field
+from eofm.imaging.splines import evaluate_field, resize_field
 from eofm.settings import Estimation
 
 # Change of u by the last iteration of a solve whose result stays, px, which leaves a tenth of that;
 # and of solves that are followed by another about their result.
 FINE, ROUGH = 1e-3, 1e-2
-# The finest scales, on which brightness is fitted and residuals are weighed; and the window in
-# which the images of coarser ones are normalised, samples of each.
-FINEST, COARSE = 2, 8.0
 
 
 @dataclass(frozen=True)
@@ -230,70 +225,9 @@ class Improved(NamedTuple):
     ease: Array | None
 
 
-def sampled_pairs(
-    I1: Array, I2: Array, grids: list[Grid], settings: Estimation, known: Known
-) -> list[ImagePair]:
-    """The images on grids from coarse to fine, as the estimate sees them.
-
-    With ``settings.robust``, the pixels of defects are dead, and on all but the two finest grids
-    brightness and contrast are normalised locally.
-    """
-    dead = known.dead_on(I1.shape)
-    sides = known.sides(I1.ndim)
-    before = after = dead
-    if settings.robust:
-        J1, J2 = normalise(I1, I2)
-        before, after = dead | defects(filled(J1, dead)), dead | defects(filled(J2, dead))
-        I1, I2 = filled(I1, before), filled(I2, after)
-    images = [sampled(I, grids) for I in normalised(I1, I2, settings, sides)]
-    pairs = []
-    for number, (grid, J1, J2) in enumerate(zip(grids, *images, strict=True)):
-        fine = number >= len(grids) - FINEST
-        if settings.robust and not fine:
-            J1, J2 = (normalise_locally(J, (COARSE,) * J.ndim) for J in (J1, J2))
-        live, live_after = (~resized(m, grid.shape) for m in (before, after))
-        pairs.append(image_pair(grid, (J1, J2), (live, live_after), settings, fine))
-    return pairs
-
-
-def image_pair(
-    grid: Grid,
-    images: tuple[Array, Array],
-    live: tuple[Mask, Mask],
-    settings: Estimation,
-    fine: bool,
-    offset: tuple[int, ...] = (),
-    overall: Overall | None = None,
-) -> ImagePair:
-    """Images on a grid, and how they are compared there; ``fine`` grids fit brightness."""
-    mean, robust = settings.gradients == "mean", settings.robust and fine
-    return ImagePair(
-        grid, *images, *live, mean, robust, settings.robust, offset, overall or Overall()
-    )
-
-
-def normalised(
-    I1: Array, I2: Array, settings: Estimation, pixel_size: tuple[float, ...]
-) -> tuple[Array, Array]:
-    """The images as the estimate sees them, of pixels with some sides."""
-    I1, I2 = normalise(I1, I2, settings.limits if settings.local_window is None else None)
-    settings.check_widths(I1.shape)
-    if settings.local_window is None:
-        return I1, I2
-    window = tuple(settings.local_window / h for h in unit_spacing(pixel_size))
-    return normalise_locally(I1, window), normalise_locally(I2, window)
-
-
 def nothing(shape: tuple[int, ...]) -> Array:
     """A field that is zero and takes no memory."""
     return np.broadcast_to(np.zeros((), precision(len(shape))), (len(shape), *shape))
-
-
-def resized(mask: Mask, shape: tuple[int, ...]) -> Mask:
-    """A mask on another grid."""
-    if not mask.any():
-        return np.zeros(shape, dtype=bool)
-    return resize(mask.astype(precision(mask.ndim)), shape) >= 0.5
 
 
 def _prescribed(grid: Grid, edges: dict[Edge, Array]) -> tuple[Array, NDArray[np.bool_]]:

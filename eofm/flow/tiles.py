@@ -18,9 +18,10 @@ import numpy as np
 
 from eofm.errors import InputError
 from eofm.flow.estimate import Estimate
+from eofm.flow.images import COARSE, FINEST, image_pair
 from eofm.flow.matching import ImagePair, Match, Overall
 from eofm.flow.multigrid import multigrid
-from eofm.flow.problem import COARSE, FINEST, ROUGH, Level, Problem, image_pair, nothing
+from eofm.flow.problem import ROUGH, Level, Problem, nothing
 from eofm.flow.trust import Trust, judge
 from eofm.flow.weight import (
     RIDGE,

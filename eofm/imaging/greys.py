@@ -71,7 +71,7 @@ class Greys:
         robust: bool,
         limits: tuple[float, float] | None = None,
     ) -> "Greys":
-        """What :func:`eofm.flow.problem.sampled_pairs` does, from windows of ``most`` pixels.
+        """What :func:`eofm.flow.images.Images` does, from windows of ``most`` pixels.
 
         Raises
         ------

@@ -29,6 +29,7 @@ GOOD = {
     "looks_linear": False,
     "defect_share": [{}, {}],
     "printed_share": 0.0,
+    "lines_taken_off": [],
 }
 
 
@@ -104,6 +105,7 @@ def test_a_sequence_says_that_it_is_the_sum():
             "lower gain",
         ),
         ({"printed_share": 0.13}, "note", "cover 13.0%", "crop frames"),
+        ({"lines_taken_off": ["rows", "columns"]}, "note", "same rows and columns", "mean of many"),
         ({"dead_share": 0.2}, "note", "The mask leaves out 20%", ""),
         ({"looks_linear": True}, "note", "looks like linear intensity", "--intensity log"),
     ],

@@ -9,7 +9,8 @@ from conftest import speckle
 
 import eofm
 from eofm.errors import InputError
-from eofm.flow.problem import Problem, sampled_pairs
+from eofm.flow.images import Images
+from eofm.flow.problem import Problem
 from eofm.flow.pyramid import sampled
 from eofm.grid import Grid
 from eofm.imaging.splines import resize_field
@@ -112,7 +113,7 @@ def test_sigma_is_measured_in_px_of_the_scale(pair, background):
     coarse = Problem.of(I1.shape, settings, known)
     side = np.sqrt(np.prod(coarse.grids[0].spacing))
     wide = Problem.of(I1.shape, settings.changed(lengths="finest", sigma=5 * side), known)
-    pair = sampled_pairs(I1, I2, coarse.grids, settings, known)[0]
+    pair = Images.of(I1, I2, settings, known).pairs(coarse.grids, settings, known)[0]
     terms = [p.level(0, pair, p.u_bg).terms[0] for p in (coarse, wide)]
     np.testing.assert_allclose(terms[0].A, terms[1].A, rtol=1e-12)
     np.testing.assert_allclose(terms[0].b, terms[1].b, rtol=1e-12, atol=1e-15)

@@ -136,6 +136,12 @@ def _label(I1: Array, I2: Array, rng: np.random.Generator) -> tuple[Array, Array
     return I1, I2
 
 
+def _lines(I1: Array, I2: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Columns of a detector that are brighter or darker than they should be, in both images."""
+    lines = 0.5 * I1.std() * rng.normal(size=I1.shape[1])
+    return I1 + lines, I2 + lines
+
+
 CONDITIONS: dict[str, Callable[..., tuple[Array, Array]]] = {
     "none": _none,
     "ramp": _ramp,
@@ -152,6 +158,7 @@ CONDITIONS: dict[str, Callable[..., tuple[Array, Array]]] = {
     "salt_and_pepper": _salt_and_pepper,
     "frame": _frame,
     "label": _label,
+    "lines": _lines,
     "noise_5": _noise(0.05),
     "noise_10": _noise(0.10),
     "everything": _everything,

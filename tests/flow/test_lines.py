@@ -1,0 +1,99 @@
+"""Lines of detectors: what is added to whole rows or columns of both images."""
+
+import numpy as np
+import pytest
+from test_robust import SHAPE, motion, speckle
+
+import eofm
+from eofm.imaging.lines import lines, without
+
+U = motion(size=4.0) + 1.0
+NONE = np.zeros(SHAPE, dtype=bool)
+INNER = slice(12, -12), slice(12, -12)
+
+
+def everywhere(n):
+    return 0.08 * np.random.default_rng(3).normal(size=n)
+
+
+def few(n):
+    p = np.zeros(n)
+    p[[20, 45, 46, 70]] = 0.3, -0.25, 0.2, 0.35
+    return p
+
+
+def error(I1, I2, u):
+    found = eofm.estimate_displacement(I1, I2)
+    return np.hypot(*(found.u - u))[INNER].mean(), found
+
+
+@pytest.mark.parametrize("gain", [1.0, 0.7])
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("pattern", [everywhere, few])
+def test_lines_are_taken_off(pattern, axis, gain):
+    I1, I2 = speckle(U)
+    p = np.expand_dims(pattern(SHAPE[axis]), 1 - axis)
+    J1, J2 = I1 + p, gain * (I2 + p)
+    off, found = error(J1, J2, U)
+    clean, other = error(I1, gain * I2, U)
+    assert found.lines == (axis,)
+    assert other.lines == ()
+    assert clean < 0.01
+    assert off < 0.03
+    assert found.trust.verdict == "good"
+
+
+def test_the_lines_are_those_that_were_added():
+    I1, I2 = speckle(U)
+    for pattern in (everywhere, few):
+        p = pattern(SHAPE[1])
+        (line,) = lines(I1 + p, I2 + p, NONE, pattern is few)
+        left = line.before.ravel() - p
+        assert line.axis == 1
+        assert left.std() < 0.4 * p.std()
+        J1, J2 = without((line,), I1 + p, I2 + p)
+        np.testing.assert_allclose(J1 - I1, -(np.broadcast_to(left, SHAPE)), atol=1e-12)
+        np.testing.assert_allclose(J1 - I1, J2 - I2, atol=1e-12)
+
+
+def test_speckle_has_no_lines():
+    for seed in range(6):
+        I1, I2 = speckle(motion(size=seed / 3), seed=seed)
+        assert not any(lines(I1, I2, NONE, single) for single in (True, False))
+
+
+@pytest.mark.parametrize("u1", [0.0, 2.0])
+def test_layers_of_the_sample_are_no_lines(u1):
+    """Layers that move along themselves stay, and such that hardly move nearly do."""
+    x2 = np.arange(SHAPE[0], dtype=float)[:, None]
+    u = np.stack([np.full(SHAPE, u1), np.broadcast_to(0.3 + 0.002 * x2, SHAPE)])
+
+    def layers(x):
+        return 0.3 * np.sin(x / 2) * np.sin(x / 3.3)
+
+    I1, I2 = speckle(u)
+    J1, J2 = I1 + layers(x2 + u[1]), I2 + layers(x2)
+    assert lines(J1, J2, NONE, single=False)
+    off, found = error(J1, J2, u)
+    assert found.lines == ()
+    assert off < 0.03
+
+
+def test_saturated_lines_are_no_lines_of_a_detector():
+    """Nothing is below them: they are left out instead."""
+    I1, I2 = (I.copy() for I in speckle(U))
+    for I in (I1, I2):
+        I[40:42] = 1.5
+    assert not any(lines(I1, I2, NONE, single) for single in (True, False))
+    off, found = error(I1, I2, U)
+    assert found.lines == ()
+    assert off < 0.05
+
+
+def test_lines_of_volumes(rng):
+    V1, V2 = (rng.uniform(0, 1, (10, 24, 28)).astype(np.float32) for _ in range(2))
+    p = rng.normal(size=24)[:, None]
+    (line,) = lines(V1 + p, V2 + p, np.zeros(V1.shape, dtype=bool), single=False)
+    assert line.axis == 1
+    assert line.before.shape == (1, 24, 1)
+    assert np.corrcoef(line.before.ravel(), p.ravel())[0, 1] > 0.99
