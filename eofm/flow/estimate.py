@@ -276,14 +276,13 @@ def _coarse_to_fine(
     """The estimate, and whether brightness changes so much that it may have taken that for motion.
 
     What changes within structures is not told from motion by the brightness that is fitted on the
-    finest scales. Of volumes nothing is said: they are read in tiles, which know nothing of
-    each other.
+    finest scales.
     """
     shape = images.I1.shape
     ndim = len(shape)
     problem = Problem.of(shape, settings, known)
     pairs = images.pairs(problem.grids, settings, known)
-    decides = settings.robust and settings.local_window is None and ndim == 2
+    decides = settings.robust and settings.local_window is None
     u = problem.u_bg
     chosen: tuple[float, ...] = ()
     hidden = None if progress else True
@@ -298,7 +297,8 @@ def _coarse_to_fine(
     if decides:
         coarser = pairs[max(0, len(pairs) - FINEST)]
         shading = coarser.shading(resize_field(u, coarser.grid.shape))
-        if shading < STEADY and (better := steady(level, u, alpha)):
+        # Of a volume, that would be half of the work once more.
+        if ndim == 2 and shading < STEADY and (better := steady(level, u, alpha)):
             pair, (u, alpha, F, _, factor) = better
     spacing = unit_spacing(known.sides(ndim))
     u = problem.carried(u, shape) / componentwise(spacing, ndim)
