@@ -12,9 +12,12 @@ from eofm.imaging.intensity import CHUNK, Window
 # A highlight is so many times as high above the median as three in four local maxima are, which
 # are the brightest of squares of PEAK px; and its surroundings, px, are none the better.
 HIGHLIGHT, PEAK, MARGIN = 4.0, 5, 2
-# An image of large structures has less than one maximum in so many of these squares; of so few,
-# highlights may be a quarter.
-SPACIOUS = 8
+# An image, or a volume, of large structures has less than one maximum in so many of these squares,
+# or cubes; of so few, highlights may be a quarter.
+SPACIOUS = {2: 8, 3: 2}
+# They may even be most of them. Then a highlight is so many times as high as all pixels but BRIGHT
+# are, if these are no few bright ones on black: not much higher than all but LIGHT.
+BRIGHT, LIGHT, SPREAD = 0.98, 0.84, 2.5
 # Where there are more of them, that is what the sample looks like: of the whole, and of a Gaussian
 # window of a width, px. The skin is as bright, in a scan that shows air above it.
 RARE = 0.05
@@ -59,7 +62,11 @@ class Levels(NamedTuple):
         if not every.size:
             return None
         usual, middle, largest = np.quantile(every, 0.75), np.median(single), every.max()
-        highlight = height_of_highlights(usual, middle, largest, single.size, I.shape)
+        some = I.ravel()[:: max(1, I.size // CHUNK)]
+        bright, light = np.quantile(some, [BRIGHT, LIGHT]) - median
+        highlight = height_of_highlights(
+            usual, middle, bright, light, largest, single.size, I.shape
+        )
         steep = bumps(I)
         bump = IMPULSE * np.quantile(steep.ravel()[:: max(1, steep.size // CHUNK)], 0.75)
         return cls(median, highlight, True, bump if rare(steep > bump, 2 * RARE) else np.inf)
@@ -121,7 +128,13 @@ def peaks(I: Array) -> tuple[Mask, Mask]:
 
 
 def height_of_highlights(
-    usual: float, middle: float, largest: float, count: int, shape: tuple[int, ...]
+    usual: float,
+    middle: float,
+    bright: float,
+    light: float,
+    largest: float,
+    count: int,
+    shape: tuple[int, ...],
 ) -> float:
     """Height above the median from which a pixel is one.
 
@@ -130,6 +143,8 @@ def height_of_highlights(
     usual, middle : float
         Height that three in four pixels of maxima have at most, and that of the middle one of
         ``count`` maxima.
+    bright, light : float
+        Height that all pixels but BRIGHT and LIGHT have at most.
     largest : float
         Height of the brightest pixel.
     count : int
@@ -137,8 +152,10 @@ def height_of_highlights(
         Of the image.
     """
     height = HIGHLIGHT * usual
-    if height > largest and count * SPACIOUS * PEAK ** len(shape) < np.prod(shape):
-        return HIGHLIGHT * middle
+    if height > largest and count * SPACIOUS[len(shape)] * PEAK ** len(shape) < np.prod(shape):
+        height = HIGHLIGHT * middle
+    if height > largest and bright < SPREAD * light:
+        height = HIGHLIGHT * bright
     return height
 
 

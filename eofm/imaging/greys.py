@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from eofm.grid import Array, Mask
 from eofm.imaging.defects import (
+    BRIGHT,
     IMPULSE,
+    LIGHT,
     LINE,
     NEIGHBOURHOOD,
     PEAK,
@@ -164,11 +166,10 @@ def _levels(read: Callable[[Window], Array], shape: tuple[int, ...], most: int) 
         counts[: int(STEPS * median) + 1] = 0
     if not every.any():
         return None
-    usual, middle, largest = (
-        _quantile(counts, part) - median
-        for counts, part in ((every, 0.75), (single, 0.5), (values, 1.0))
-    )
-    highlight = height_of_highlights(usual, middle, largest, int(single.sum()), shape)
+    usual, middle = (_quantile(f, part) - median for f, part in ((every, 0.75), (single, 0.5)))
+    bright, light, largest = (_quantile(values, part) - median for part in (BRIGHT, LIGHT, 1.0))
+    count = int(single.sum())
+    highlight = height_of_highlights(usual, middle, bright, light, largest, count, shape)
     lines = bool(flat.sum() >= LINE - 1)
     if highlight > largest:
         highlight = np.inf

@@ -39,7 +39,7 @@ def whole(pair):
     ("lights", "line", "impulses", "width"),
     [
         *((0, False, 0, 1.0), (5, False, 0, 1.0), (5, True, 0, 1.0), (0, True, 0, 1.0)),
-        *((0, False, 40, 1.0), (5, True, 40, 1.0), (5, True, 0, 4.0)),
+        *((0, False, 40, 1.0), (5, True, 40, 1.0), (5, True, 0, 4.0), (60, False, 0, 4.0)),
     ],
 )
 def test_windows_have_the_grey_scale_of_the_whole(lights, line, impulses, width):

@@ -340,6 +340,24 @@ def test_highlights_are_defects_and_filled():
         assert J[tuple(at)] in I[tuple(nearest.T)]
 
 
+@pytest.mark.parametrize("structures", ["large", "few"])
+def test_highlights_may_be_most_of_the_maxima_of_a_volume(structures, rng):
+    shape = (32, 36, 40)
+    if structures == "large":
+        I = 1 + 0.3 * ndimage.gaussian_filter(rng.normal(size=shape), 4) * 4**1.5
+    else:
+        I = np.zeros(shape)
+        I[tuple(rng.integers(0, n, 60) for n in shape)] = rng.uniform(20, 40, 60)
+        I = ndimage.gaussian_filter(I, 1.3)
+    assert not defects(I).any()
+    lights = np.zeros(shape, dtype=bool)
+    lights[tuple(rng.integers(4, n - 4, 25) for n in shape)] = True
+    lights = ndimage.maximum_filter(lights, 2)
+    found = defects(np.where(lights, 8 * I.max(), I))
+    assert found[lights].all()
+    assert found.mean() < 0.1
+
+
 @pytest.mark.parametrize("shape", [(60, 70), (64, 41), (9, 64, 41), (50, 40, 8)])
 def test_lines_are_those_of_an_opening(shape):
     """Of images and volumes: runs of 32 saturated pixels and more."""
