@@ -227,9 +227,25 @@ def estimate_displacement(
     if not settings.robust:
         return _estimate(I1, I2, settings, known, progress)
     frame = frames(*normalise(I1, I2))
-    dead = known.dead_on(I1.shape) | frame
-    known = replace(known, dead=dead if dead.any() else None)
-    found, taken = _estimate(I1, I2, settings, known, progress), tuple[Lines, ...]()
+    known = replace(known, dead=frame | known.dead_on(I1.shape)) if frame.any() else known
+    found = _estimate(I1, I2, settings, known, progress)
+    found = _without_lines(I1, I2, settings, known, found, progress)
+    return replace(found, printed=found.printed | frame)
+
+
+def _without_lines(
+    I1: Array,
+    I2: Array,
+    settings: Estimation,
+    known: Known,
+    found: Estimate,
+    progress: bool,
+) -> Estimate:
+    """The estimate, or that of images without lines that stay, if less of these is left.
+
+    Single lines first: where there are large structures, lines everywhere may be of these.
+    """
+    taken, dead = tuple[Lines, ...](), known.dead_on(I1.shape)
     for single in (True, False):
         doubted = lines(*without(taken, I1, I2), dead, single)
         while doubted:
@@ -244,8 +260,7 @@ def estimate_displacement(
                 found, taken = (other, told) if less < much else (found, taken)
                 break
             doubted = tuple(line for line in doubted if line in stay)
-    axes = tuple(sorted({line.axis for line in taken}))
-    return replace(found, printed=found.printed | frame, lines=axes)
+    return replace(found, lines=tuple(sorted({line.axis for line in taken})))
 
 
 def _estimate(I1: Array, I2: Array, settings: Estimation, known: Known, progress: bool) -> Estimate:
