@@ -36,6 +36,8 @@ SHADED, LESS, CLEARLY = 0.05, 0.98, 1e-3
 # Change of brightness up to which there may be none, and what another field then leaves of the
 # images' difference at most.
 STEADY, BETTER = 0.02, 0.95
+# What is left of images without lines that were theirs, at most.
+WITHOUT = 0.97
 # How often what the images do not share is looked for, and how far from dead pixels, samples.
 TURNS, BESIDE = 3, 6
 
@@ -257,7 +259,7 @@ def _without_lines(
                     left(*without(some, I1, I2), dead, each.u)[0].std()
                     for some, each in ((taken, found), (told, other))
                 )
-                found, taken = (other, told) if less < much else (found, taken)
+                found, taken = (other, told) if less < WITHOUT * much else (found, taken)
                 break
             doubted = tuple(line for line in doubted if line in stay)
     return replace(found, lines=tuple(sorted({line.axis for line in taken})))
