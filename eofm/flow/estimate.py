@@ -23,7 +23,7 @@ from eofm.flow.weight import around
 from eofm.grid import Array, Edge, Mask, componentwise, unit_spacing
 from eofm.imaging.gaussian import blur
 from eofm.imaging.intensity import normalise, normalise_locally
-from eofm.imaging.lines import Lines, lines, without
+from eofm.imaging.lines import Lines, lines, means_along, without
 from eofm.imaging.printed import frames
 from eofm.imaging.splines import resize, resize_field
 from eofm.settings import Estimation
@@ -247,19 +247,22 @@ def _without_lines(
 
     Single lines first: where there are large structures, lines everywhere may be of these.
     """
-    taken, dead = tuple[Lines, ...](), known.dead_on(I1.shape)
+    taken, images, dead = tuple[Lines, ...](), (I1, I2), known.dead_on(I1.shape)
+    means = means_along(*images, dead)
     for single in (True, False):
-        doubted = lines(*without(taken, I1, I2), dead, single)
+        doubted = lines(means, single)
         while doubted:
-            told = taken + doubted
-            other = _estimate(*without(told, I1, I2), settings, known, progress)
-            stay = staying(I1, I2, dead, other.u, told)
+            told, cleaned = taken + doubted, without(doubted, *images)
+            other = _estimate(*cleaned, settings, known, progress)
+            stay = staying(*cleaned, dead, other.u, told)
             if stay == told:
                 much, less = (
-                    left(*without(some, I1, I2), dead, each.u)[0].std()
-                    for some, each in ((taken, found), (told, other))
+                    left(*each, dead, u)[0].std()
+                    for each, u in ((images, found.u), (cleaned, other.u))
                 )
-                found, taken = (other, told) if less < WITHOUT * much else (found, taken)
+                if less < WITHOUT * much:
+                    found, taken, images = other, told, cleaned
+                    means = means_along(*images, dead)
                 break
             doubted = tuple(line for line in doubted if line in stay)
     return replace(found, lines=tuple(sorted({line.axis for line in taken})))

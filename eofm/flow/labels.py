@@ -13,7 +13,7 @@ from eofm.grid import Array, Mask
 from eofm.imaging.defects import filled
 from eofm.imaging.gaussian import blur
 from eofm.imaging.intensity import normalise
-from eofm.imaging.lines import Lines, without
+from eofm.imaging.lines import Lines
 from eofm.imaging.printed import suspects
 from eofm.imaging.splines import Spline
 from eofm.settings import Estimation
@@ -85,12 +85,12 @@ def standing(pair: ImagePair, u: Array, doubted: Mask) -> Mask:
 def staying(
     I1: Array, I2: Array, dead: Mask, u: Array, doubted: tuple[Lines, ...]
 ) -> tuple[Lines, ...]:
-    """Lines that stay as they are, though a displacement, px, carries the rest of the image.
+    """Lines that stay as they are, though a displacement, px, carries the images without them.
 
-    What a motion leaves of the images are then lines less lines that it has moved, and nothing
-    of that if they are layers of the sample.
+    What the motion leaves of the images with them are then lines less lines that it has moved, and
+    nothing of that if they are layers of the sample.
     """
-    rest, used, gain = left(*without(doubted, I1, I2), dead, u)
+    rest, used, gain = left(I1, I2, dead, u)
     if not used.any():
         return ()
     changes = []

@@ -35,6 +35,35 @@ IMPULSE, ALONE = 4.0, 0.7
 CLEAR = 0.35
 
 
+class Heights(NamedTuple):
+    """How high above the median an image, or a volume, is.
+
+    Attributes
+    ----------
+    usual, middle : float
+        What three in four pixels of local maxima have at most, and the middle one of the maxima.
+    bright, light : float
+        What all pixels but BRIGHT and LIGHT have at most.
+    largest : float
+        The brightest pixel.
+    """
+
+    usual: float
+    middle: float
+    bright: float
+    light: float
+    largest: float
+
+    def of_highlights(self, count: int, shape: tuple[int, ...]) -> float:
+        """Height from which a pixel is a highlight, of an image with so many maxima."""
+        ndim, height = len(shape), HIGHLIGHT * self.usual
+        if height > self.largest and count * SPACIOUS[ndim] * PEAK**ndim < np.prod(shape):
+            height = HIGHLIGHT * self.middle
+        if height > self.largest and self.bright < SPREAD * self.light:
+            height = HIGHLIGHT * self.bright
+        return height
+
+
 class Levels(NamedTuple):
     """Intensities that tell pixels of the detector from those of the sample.
 
@@ -61,12 +90,11 @@ class Levels(NamedTuple):
         every, single = (above[above > 0] for above in (I[found] - median for found in peaks(I)))
         if not every.size:
             return None
-        usual, middle, largest = np.quantile(every, 0.75), np.median(single), every.max()
         some = I.ravel()[:: max(1, I.size // CHUNK)]
         bright, light = np.quantile(some, [BRIGHT, LIGHT]) - median
-        highlight = height_of_highlights(
-            usual, middle, bright, light, largest, single.size, I.shape
-        )
+        usual, middle = np.quantile(every, 0.75), np.median(single)
+        heights = Heights(usual, middle, bright, light, every.max())
+        highlight = heights.of_highlights(single.size, I.shape)
         steep = bumps(I)
         bump = IMPULSE * np.quantile(steep.ravel()[:: max(1, steep.size // CHUNK)], 0.75)
         return cls(median, highlight, True, bump if rare(steep > bump, 2 * RARE) else np.inf)
@@ -125,38 +153,6 @@ def peaks(I: Array) -> tuple[Mask, Mask]:
     single = np.zeros_like(found)
     single[at] = first
     return found, single
-
-
-def height_of_highlights(
-    usual: float,
-    middle: float,
-    bright: float,
-    light: float,
-    largest: float,
-    count: int,
-    shape: tuple[int, ...],
-) -> float:
-    """Height above the median from which a pixel is one.
-
-    Parameters
-    ----------
-    usual, middle : float
-        Height that three in four pixels of maxima have at most, and that of the middle one of
-        ``count`` maxima.
-    bright, light : float
-        Height that all pixels but BRIGHT and LIGHT have at most.
-    largest : float
-        Height of the brightest pixel.
-    count : int
-    shape : tuple of int
-        Of the image.
-    """
-    height = HIGHLIGHT * usual
-    if height > largest and count * SPACIOUS[len(shape)] * PEAK ** len(shape) < np.prod(shape):
-        height = HIGHLIGHT * middle
-    if height > largest and bright < SPREAD * light:
-        height = HIGHLIGHT * bright
-    return height
 
 
 def bumps(I: Array) -> Array:

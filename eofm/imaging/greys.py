@@ -17,11 +17,11 @@ from eofm.imaging.defects import (
     NEIGHBOURHOOD,
     PEAK,
     RARE,
+    Heights,
     Levels,
     bumps,
     defects,
     filled,
-    height_of_highlights,
     peaks,
 )
 from eofm.imaging.intensity import normalise
@@ -166,12 +166,13 @@ def _levels(read: Callable[[Window], Array], shape: tuple[int, ...], most: int) 
         counts[: int(STEPS * median) + 1] = 0
     if not every.any():
         return None
-    usual, middle = (_quantile(f, part) - median for f, part in ((every, 0.75), (single, 0.5)))
-    bright, light, largest = (_quantile(values, part) - median for part in (BRIGHT, LIGHT, 1.0))
-    count = int(single.sum())
-    highlight = height_of_highlights(usual, middle, bright, light, largest, count, shape)
+    heights = Heights(
+        *(_quantile(f, part) - median for f, part in ((every, 0.75), (single, 0.5))),
+        *(_quantile(values, part) - median for part in (BRIGHT, LIGHT, 1.0)),
+    )
+    highlight = heights.of_highlights(int(single.sum()), shape)
     lines = bool(flat.sum() >= LINE - 1)
-    if highlight > largest:
+    if highlight > heights.largest:
         highlight = np.inf
     bump = IMPULSE * steepest * _quantile(steep, 0.75)
     if not 0 < steep[int(STEPS * bump / steepest) + 1 :].sum() < 2 * RARE * size:

@@ -1,6 +1,6 @@
 """Lines of detectors: what is added to whole rows or columns of both images, and stays there."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,26 +45,36 @@ def without(lines: Iterable[Lines], I1: Array, I2: Array) -> tuple[Array, Array]
     return I1, I2
 
 
-def lines(I1: Array, I2: Array, dead: Mask, single: bool) -> tuple[Lines, ...]:
-    """Lines that both images show at the same places, all along.
-
-    They may be of the sample: layers that hardly move look like that.
+def means_along(I1: Array, I2: Array, dead: Mask) -> list[tuple[Array, Array]]:
+    """Means of parts of two images across each axis, in which lines are looked for.
 
     Parameters
     ----------
     I1, I2 : ndarray, shape (height, width) or (depth, height, width)
     dead : ndarray of bool
         Pixels that do not count.
+    """
+    return [(_means(I1, dead, axis), _means(I2, dead, axis)) for axis in range(I1.ndim)]
+
+
+def lines(means: Sequence[tuple[Array, Array]], single: bool) -> tuple[Lines, ...]:
+    """Lines that both images show at the same places, all along.
+
+    They may be of the sample: layers that hardly move look like that.
+
+    Parameters
+    ----------
+    means : sequence of pairs of ndarray
+        Of :func:`means_along`.
     single : bool
         Whether they are a few that differ from all beside them, or everywhere.
     """
-    found = []
-    for axis in range(I1.ndim):
-        means = _means(I1, dead, axis), _means(I2, dead, axis)
-        profiles = _single(*means) if single else _all(*means)
+    found, ndim = [], len(means)
+    for axis, pair in enumerate(means):
+        profiles = _single(*pair) if single else _all(*pair)
         if profiles is not None:
-            shape = [-1 if k == axis else 1 for k in range(I1.ndim)]
-            before, after = (p.reshape(shape).astype(precision(I1.ndim)) for p in profiles)
+            shape = [-1 if k == axis else 1 for k in range(ndim)]
+            before, after = (p.reshape(shape).astype(precision(ndim)) for p in profiles)
             found.append(Lines(axis, before, after))
     return tuple(found)
 

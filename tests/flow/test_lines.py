@@ -5,7 +5,7 @@ import pytest
 from test_robust import SHAPE, motion, speckle
 
 import eofm
-from eofm.imaging.lines import lines, without
+from eofm.imaging.lines import lines, means_along, without
 
 U = motion(size=4.0) + 1.0
 NONE = np.zeros(SHAPE, dtype=bool)
@@ -47,7 +47,7 @@ def test_the_lines_are_those_that_were_added():
     I1, I2 = speckle(U)
     for pattern in (everywhere, few):
         p = pattern(SHAPE[1])
-        (line,) = lines(I1 + p, I2 + p, NONE, pattern is few)
+        (line,) = lines(means_along(I1 + p, I2 + p, NONE), pattern is few)
         left = line.before.ravel() - p
         assert line.axis == 1
         assert left.std() < 0.4 * p.std()
@@ -59,7 +59,7 @@ def test_the_lines_are_those_that_were_added():
 def test_speckle_has_no_lines():
     for seed in range(6):
         I1, I2 = speckle(motion(size=seed / 3), seed=seed)
-        assert not any(lines(I1, I2, NONE, single) for single in (True, False))
+        assert not any(lines(means_along(I1, I2, NONE), single) for single in (True, False))
 
 
 @pytest.mark.parametrize("u1", [0.0, 2.0])
@@ -73,7 +73,7 @@ def test_layers_of_the_sample_are_no_lines(u1):
 
     I1, I2 = speckle(u)
     J1, J2 = I1 + layers(x2 + u[1]), I2 + layers(x2)
-    assert lines(J1, J2, NONE, single=False)
+    assert lines(means_along(J1, J2, NONE), single=False)
     off, found = error(J1, J2, u)
     assert found.lines == ()
     assert off < 0.03
@@ -84,7 +84,7 @@ def test_saturated_lines_are_no_lines_of_a_detector():
     I1, I2 = (I.copy() for I in speckle(U))
     for I in (I1, I2):
         I[40:42] = 1.5
-    assert not any(lines(I1, I2, NONE, single) for single in (True, False))
+    assert not any(lines(means_along(I1, I2, NONE), single) for single in (True, False))
     off, found = error(I1, I2, U)
     assert found.lines == ()
     assert off < 0.05
@@ -93,7 +93,8 @@ def test_saturated_lines_are_no_lines_of_a_detector():
 def test_lines_of_volumes(rng):
     V1, V2 = (rng.uniform(0, 1, (10, 24, 28)).astype(np.float32) for _ in range(2))
     p = rng.normal(size=24)[:, None]
-    (line,) = lines(V1 + p, V2 + p, np.zeros(V1.shape, dtype=bool), single=False)
+    means = means_along(V1 + p, V2 + p, np.zeros(V1.shape, dtype=bool))
+    (line,) = lines(means, single=False)
     assert line.axis == 1
     assert line.before.shape == (1, 24, 1)
     assert np.corrcoef(line.before.ravel(), p.ravel())[0, 1] > 0.99
