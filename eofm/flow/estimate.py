@@ -36,8 +36,9 @@ SHADED, LESS, CLEARLY = 0.05, 0.98, 1e-3
 # Change of brightness up to which there may be none, and what another field then leaves of the
 # images' difference at most.
 STEADY, BETTER = 0.02, 0.95
-# What is left of images without lines that were theirs, at most.
-WITHOUT = 0.97
+# What is left of images without lines that were theirs, or after a field from another start, at
+# most.
+CLEARER = 0.97
 # How often what the images do not share is looked for, and how far from dead pixels, samples.
 TURNS, BESIDE = 3, 6
 
@@ -257,10 +258,10 @@ def _without_lines(
             stay = staying(*cleaned, dead, other.u, told)
             if stay == told:
                 much, less = (
-                    left(*each, dead, u)[0].std()
-                    for each, u in ((images, found.u), (cleaned, other.u))
+                    left(*each, dead, f.u)[0].std()
+                    for each, f in ((images, found), (cleaned, other))
                 )
-                if less < WITHOUT * much:
+                if less < CLEARER * much:
                     found, taken, images = other, told, cleaned
                     means = means_along(*images, dead)
                 break
@@ -276,10 +277,21 @@ def _estimate(I1: Array, I2: Array, settings: Estimation, known: Known, progress
         known = replace(known, dead=left_out | known.dead_on(I1.shape))
     images = Images.of(I1, I2, settings, known)
     found, shaded = _coarse_to_fine(images, settings, known, left_out, progress)
+    start = None
+    if settings.robust and images.oscillate:
+        by_amplitude, _ = _coarse_to_fine(images.amplitudes, settings, known, left_out, progress)
+        other, also = _coarse_to_fine(
+            images, settings, known, left_out, progress, by_amplitude.lengths
+        )
+        # Where a field is off by a period, the images have been said to show different things.
+        much, less = (left(I1, I2, known.dead_on(I1.shape), f.u)[0].std() for f in (found, other))
+        if less < CLEARER * much:
+            log.debug("the images oscillate: their amplitude's motion is the better start")
+            found, shaded, start = other, also, by_amplitude.lengths
     if not shaded:
         return found
     local = settings.changed(local_window=COARSE)
-    other, _ = _coarse_to_fine(images, local, known, left_out, progress)
+    other, _ = _coarse_to_fine(images, local, known, left_out, progress, start)
     pair = found.pair
     missed, less = (
         1 - details(pair.I1, pair.I2, f.lengths, pair.grid, pair.live) for f in (found, other)
@@ -291,23 +303,29 @@ def _estimate(I1: Array, I2: Array, settings: Estimation, known: Known, progress
 
 
 def _coarse_to_fine(
-    images: Images, settings: Estimation, known: Known, left_out: Mask, progress: bool
+    images: Images,
+    settings: Estimation,
+    known: Known,
+    left_out: Mask,
+    progress: bool,
+    start: Array | None = None,
 ) -> tuple[Estimate, bool]:
     """The estimate, and whether brightness changes so much that it may have taken that for motion.
 
     What changes within structures is not told from motion by the brightness that is fitted on the
-    finest scales.
+    finest scales. From a ``start``, in true lengths, these alone are gone through.
     """
     shape = images.I1.shape
     ndim = len(shape)
     problem = Problem.of(shape, settings, known)
     pairs = images.pairs(problem.grids, settings, known)
     decides = settings.robust and settings.local_window is None
-    u = problem.u_bg
+    first, u = (0, problem.u_bg) if start is None else (max(0, len(pairs) - FINEST), start)
     chosen: tuple[float, ...] = ()
     hidden = None if progress else True
     compared = min(largest_small(problem.grids), len(pairs) - 1 - FINEST)
-    for number, pair in enumerate(tqdm(pairs, "scales", disable=hidden)):
+    for number in tqdm(range(first, len(pairs)), "scales", disable=hidden):
+        pair = pairs[number]
         level = problem.level(number, pair, u)
         u, alpha, F, chosen, factor = level.improve(chosen, progress)
         if settings.robust and number == compared:

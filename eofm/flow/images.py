@@ -1,6 +1,6 @@
 """The two images as the estimate sees them, on each of its grids."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -9,6 +9,7 @@ from eofm.flow.known import Known
 from eofm.flow.matching import ImagePair, Overall
 from eofm.flow.pyramid import sampled
 from eofm.grid import Array, Grid, Mask, precision, unit_spacing
+from eofm.imaging.carrier import amplitude, has_carrier
 from eofm.imaging.defects import defects, filled
 from eofm.imaging.intensity import normalise, normalise_locally
 from eofm.imaging.splines import resize
@@ -45,6 +46,17 @@ class Images:
         J1, J2 = normalise(I1, I2)
         before, after = dead | defects(filled(J1, dead)), dead | defects(filled(J2, dead))
         return cls(filled(I1, before), filled(I2, after), before, after)
+
+    @property
+    def oscillate(self) -> bool:
+        """Whether both have a carrier, see :mod:`eofm.imaging.carrier`."""
+        return has_carrier(self.I1) and has_carrier(self.I2)
+
+    @property
+    def amplitudes(self) -> Self:
+        """Those of their carriers in their place."""
+        J1, J2 = (amplitude(J) for J in normalise(self.I1, self.I2))
+        return replace(self, I1=J1, I2=J2)
 
     def pairs(self, grids: list[Grid], settings: Estimation, known: Known) -> list[ImagePair]:
         """Return them on grids from coarse to fine.
