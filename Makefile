@@ -47,9 +47,8 @@ numbers: .venv/installed
 	    || { echo 'eofm needs Python 3.11 or later; name one: make PYTHON=python3.12'; exit 1; }
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
-	@echo 'compiling the solver, once (half a minute)'
-	$(BIN)/python -c "import numpy as np, eofm; I = np.eye(64); \
-	    [eofm.estimate_displacement(I, I, eofm.Estimation(method=m)) for m in ('preset', 'paper')]"
+	@echo 'compiling the solver, once (a minute)'
+	$(BIN)/python workflow/scripts/compile_kernels.py
 	touch $@
 
 clean:
