@@ -33,8 +33,7 @@ def received(x):
         d = k - x
         echo = np.cos(2 * np.pi * d[1] / 5) * np.exp(-((d[0] / 1.8) ** 2) - (d[1] / 5) ** 2)
         np.add.at(image, (k[1] + 50, k[0] + 20), strengths * echo)
-    image = image[50:-50, 20:-20]
-    return image + 0.05 * image.std() * random.normal(size=image.shape)
+    return (image + 0.05 * image.std() * random.normal(size=image.shape))[50:-50, 20:-20]
 
 
 u = motion(np.stack(np.meshgrid(np.arange(width), np.arange(depth))).astype(float))
