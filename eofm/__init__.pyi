@@ -7,8 +7,8 @@ from .analysis.scene import read_scene as read_scene
 from .elasticity.forward import background_field as background_field
 from .elasticity.forward import true_field as true_field
 from .errors import InputError as InputError
-from .flow.estimate import Estimate as Estimate
 from .flow.estimate import estimate_displacement as estimate_displacement
+from .flow.found import Estimate as Estimate
 from .flow.known import Known as Known
 from .identification.stiffness import identify_stiffness as identify_stiffness
 from .identification.uncertainty import deviations as deviations

@@ -15,7 +15,8 @@ from eofm.analysis.quality import data_share, inconsistency, residual
 from eofm.analysis.strain import strain
 from eofm.analysis.summary import length
 from eofm.errors import InputError
-from eofm.flow.estimate import Estimate, estimate_displacement
+from eofm.flow.estimate import estimate_displacement
+from eofm.flow.found import Estimate
 from eofm.flow.images import normalised
 from eofm.flow.known import Known
 from eofm.flow.trust import Trust, Verdict

@@ -1,169 +1,41 @@
 """The elastographic optical flow method: all five tests of the paper, and your images."""
 
 import logging
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from itertools import islice
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from tqdm import tqdm
 
-from eofm.flow.functional import Quadratic
+from eofm.flow.detector import without_lines
+from eofm.flow.found import Estimate
 from eofm.flow.images import COARSE, FINEST, Images, resized
 from eofm.flow.known import Known
-from eofm.flow.labels import labels, left, staying
-from eofm.flow.matching import ImagePair, Match
+from eofm.flow.labels import labels
+from eofm.flow.matching import ImagePair
 from eofm.flow.problem import Improved, Level, Problem
 from eofm.flow.pyramid import largest_small
-from eofm.flow.start import correlation, details, match_blocks, unlike
-from eofm.flow.trust import Trust, judge
-from eofm.flow.uncertainty import Errors
+from eofm.flow.start import correlation, details, left, match_blocks, unlike
 from eofm.flow.weight import around
-from eofm.grid import Array, Edge, Mask, componentwise, unit_spacing
-from eofm.imaging.gaussian import blur
+from eofm.grid import Array, Mask, componentwise, unit_spacing
 from eofm.imaging.intensity import normalise, normalise_locally
-from eofm.imaging.lines import Lines, lines, means_along, without
 from eofm.imaging.printed import frames
-from eofm.imaging.splines import resize, resize_field
+from eofm.imaging.splines import resize_field
 from eofm.settings import Estimation
 
-# Width of the average of variances of draws, px.
-VARIANCE = 4.0
 # Change of brightness, as a part of the contrast, that may be taken for motion. Images are then
 # normalised locally where that leaves fewer of the details unlike: by this factor, and difference.
 SHADED, LESS, CLEARLY = 0.05, 0.98, 1e-3
 # Change of brightness up to which there may be none, and what another field then leaves of the
 # images' difference at most.
 STEADY, BETTER = 0.02, 0.95
-# What is left of images without lines that were theirs, or after a field from another start, at
-# most.
+# What a field from another start leaves of the images, at most.
 CLEARER = 0.97
 # How often what the images do not share is looked for, and how far from dead pixels, samples.
 TURNS, BESIDE = 3, 6
 
-
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """An estimate and what it came from.
-
-    Attributes
-    ----------
-    u : ndarray, shape (2, height, width) or (3, depth, height, width)
-        Displacement ``u = u_bg + v``, px, with ``I2(x + u(x)) = I1(x)``: lateral (to the
-        right), axial (down) and, of volumes, elevational motion of what was at x before
-        compression.
-    alpha : float
-        Weight of the smoothness term on the last scale, of the preset where motion is rough.
-    pair : ImagePair
-        The images on the last scale.
-    denoising : float, optional
-        Filter of the linearised images, see :meth:`eofm.flow.matching.Match.filtered`.
-    functional : Quadratic
-        The F that was minimised last.
-    base : ndarray, shape (ndim, ...)
-        The field to which the last scale added what R acts on, in the unit of ``functional``.
-    ease : ndarray, shape (height, width), optional
-        By which alpha is divided at each pixel, see :func:`eofm.flow.roughness.ease`.
-    printed : ndarray of bool, of the images' shape
-        Frames and labels, alike in both images, which were left out.
-    spacing : tuple of float
-        Sides of a pixel in the unit of ``functional``, lateral first.
-    edges : tuple of str
-        Those whose motion was stated.
-    lines : tuple of int
-        Axes of the images along which lines of a detector change that were taken off: 0 for rows
-        and 1 for columns of an image.
-    """
-
-    u: Array
-    alpha: float
-    pair: ImagePair
-    denoising: float | None
-    functional: Quadratic
-    base: Array
-    ease: Array | None
-    printed: Mask
-    spacing: tuple[float, ...]
-    edges: tuple[Edge, ...] = ()
-    lines: tuple[int, ...] = ()
-
-    @property
-    def weight(self) -> float | Array:
-        """Weight of the smoothness term, at each pixel where it is not alike everywhere."""
-        if self.ease is None:
-            return self.alpha
-        return self.alpha / resize(self.ease, self.u.shape[1:])
-
-    @property
-    def _sides(self) -> Array:
-        return componentwise(self.spacing, len(self.spacing))
-
-    @property
-    def lengths(self) -> Array:
-        """The displacement in true lengths on the grid of ``pair``."""
-        return resize_field(self._sides * self.u, self.pair.grid.shape)
-
-    @cached_property
-    def match(self) -> Match:
-        """The images linearised about ``u``, in true lengths."""
-        return self.pair.linearise_near(self.lengths, self.denoising)
-
-    @cached_property
-    def trust(self) -> Trust:
-        """Whether the images, on the last scale, bear the estimate out."""
-        # As they are: not even their brightness is fitted.
-        pair = replace(self.pair, robust=False)
-        match = pair.linearise(self.lengths)
-        samples = pair.grid.samples(self.lengths)
-        trust = judge(pair.I1, pair.I1 + match.r, match.used, samples, self.edges)
-        return trust.on(self.u.shape[1:])
-
-    def deviation(self, samples: int = 32, seed: int = 0) -> Array:
-        """Return the standard deviation of the displacement at each pixel, px.
-
-        Parameters
-        ----------
-        samples : int
-            Number of samples; the relative error of the result is about
-            ``1/sqrt(2 samples)``.
-        seed : int
-
-        Returns
-        -------
-        ndarray, of the shape of ``u``
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> import eofm
-        >>> before, after, _ = eofm.make_phantom(np.full((2, 40, 60), 0.3))
-        >>> eofm.estimate_displacement(before, after).deviation(samples=4).shape
-        (2, 40, 60)
-        """
-        squares = np.zeros_like(self.u)
-        for sample in self.samples(samples, seed):
-            squares += sample**2
-        # Few draws tell little of one place.
-        return np.sqrt(np.stack([blur(variance, VARIANCE) for variance in squares / samples]))
-
-    def samples(self, count: int, seed: int = 0) -> Iterator[Array]:
-        """Errors of the displacement as they may be, of its shape, px.
-
-        See :class:`eofm.flow.uncertainty.Errors`. A speckle term on the finest scale
-        (``speckle_scales="all"``) counts as exact.
-        """
-        for error in islice(self.errors.draws(np.random.default_rng(seed)), count):
-            yield resize_field(error, self.u.shape[1:]) / self._sides
-
-    @cached_property
-    def errors(self) -> Errors:
-        """What errors are drawn from."""
-        match = self.match.eased(self.ease)
-        return Errors(self.functional, match, match.u - self.base, self.ease)
 
 
 def estimate_displacement(
@@ -231,67 +103,38 @@ def estimate_displacement(
         return _estimate(I1, I2, settings, known, progress)
     frame = frames(*normalise(I1, I2))
     known = replace(known, dead=frame | known.dead_on(I1.shape)) if frame.any() else known
-    found = _estimate(I1, I2, settings, known, progress)
-    found = _without_lines(I1, I2, settings, known, found, progress)
+    estimate = partial(_estimate, settings=settings, known=known, progress=progress)
+    dead = known.dead_on(I1.shape)
+    found = without_lines(I1, I2, dead, estimate(I1, I2), estimate)
     return replace(found, printed=found.printed | frame)
 
 
-def _without_lines(
-    I1: Array,
-    I2: Array,
-    settings: Estimation,
-    known: Known,
-    found: Estimate,
-    progress: bool,
-) -> Estimate:
-    """The estimate, or that of images without lines that stay, if less of these is left.
-
-    Single lines first: where there are large structures, lines everywhere may be of these.
-    """
-    taken, images, dead = tuple[Lines, ...](), (I1, I2), known.dead_on(I1.shape)
-    means = means_along(*images, dead)
-    for single in (True, False):
-        doubted = lines(means, single)
-        while doubted:
-            told, cleaned = taken + doubted, without(doubted, *images)
-            other = _estimate(*cleaned, settings, known, progress)
-            stay = staying(*cleaned, dead, other.u, told)
-            if stay == told:
-                much, less = (
-                    left(*each, dead, f.u)[0].std()
-                    for each, f in ((images, found), (cleaned, other))
-                )
-                if less < CLEARER * much:
-                    found, taken, images = other, told, cleaned
-                    means = means_along(*images, dead)
-                break
-            doubted = tuple(line for line in doubted if line in stay)
-    return replace(found, lines=tuple(sorted({line.axis for line in taken})))
-
-
 def _estimate(I1: Array, I2: Array, settings: Estimation, known: Known, progress: bool) -> Estimate:
-    """The estimate, of images normalised locally where that leaves more of them alike."""
+    """The estimate, as the images ask for it.
+
+    Of images that oscillate, it starts from their amplitude's motion if less of them is left then;
+    and they are normalised locally where that leaves more of them alike.
+    """
     left_out = np.zeros(I1.shape, dtype=bool)
     if settings.robust and I1.ndim == 2:
         left_out = labels(I1, I2, settings, known)
         known = replace(known, dead=left_out | known.dead_on(I1.shape))
-    images = Images.of(I1, I2, settings, known)
-    found, shaded = _coarse_to_fine(images, settings, known, left_out, progress)
-    start = None
+    images, dead = Images.of(I1, I2, settings, known), known.dead_on(I1.shape)
+    run = partial(_coarse_to_fine, known=known, left_out=left_out, progress=progress)
+    start: Array | None = None
+    found, shaded = run(images, settings)
     if settings.robust and images.oscillate:
-        by_amplitude, _ = _coarse_to_fine(images.amplitudes, settings, known, left_out, progress)
-        other, also = _coarse_to_fine(
-            images, settings, known, left_out, progress, by_amplitude.lengths
-        )
-        # Where a field is off by a period, the images have been said to show different things.
-        much, less = (left(I1, I2, known.dead_on(I1.shape), f.u)[0].std() for f in (found, other))
+        by_amplitude, _ = run(images.amplitudes, settings)
+        other, also = run(images, settings, start=by_amplitude.lengths)
+        # Where a field is off by a period, its images have been said to show different things.
+        much, less = (left(I1, I2, dead, f.u)[0].std() for f in (found, other))
         if less < CLEARER * much:
             log.debug("the images oscillate: their amplitude's motion is the better start")
             found, shaded, start = other, also, by_amplitude.lengths
     if not shaded:
         return found
     local = settings.changed(local_window=COARSE)
-    other, _ = _coarse_to_fine(images, local, known, left_out, progress, start)
+    other, _ = run(images, local, start=start)
     pair = found.pair
     missed, less = (
         1 - details(pair.I1, pair.I2, f.lengths, pair.grid, pair.live) for f in (found, other)

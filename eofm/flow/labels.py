@@ -1,4 +1,4 @@
-"""What stays where the sample moves: frames and labels printed on both images, and lines."""
+"""Labels that are printed on both images: what stays where the sample moves."""
 
 from dataclasses import replace
 
@@ -13,7 +13,6 @@ from eofm.grid import Array, Mask
 from eofm.imaging.defects import filled
 from eofm.imaging.gaussian import blur
 from eofm.imaging.intensity import normalise
-from eofm.imaging.lines import Lines
 from eofm.imaging.printed import suspects
 from eofm.imaging.splines import Spline
 from eofm.settings import Estimation
@@ -22,12 +21,8 @@ from eofm.settings import Estimation
 # something stays; and the motion of that which standing still leaves, in the rest around, of whose
 # pixels no more than so much comes from what is doubted; and the least motion, samples.
 STAYS, MOVES, CLEAN, FAR = 0.25, 0.5, 0.05, 0.2
-# Part of what lines change by at least, if they stay, that the images change by; and how much of
-# their own variance is enough of a change.
-OWN, SEEN = 0.75, 5e-4
 # Widths over which differences are averaged, there and in the rest around, samples.
 WIDTH, WIDE = 3.0, 8.0
-TINY = float(np.finfo(np.float32).tiny)
 
 
 def labels(I1: Array, I2: Array, settings: Estimation, known: Known) -> Mask:
@@ -80,40 +75,3 @@ def standing(pair: ImagePair, u: Array, doubted: Mask) -> Mask:
     stays, size = (np.bincount(label[at], minlength=count + 1) for at in (still, doubted))
     found: Mask = still | (2 * stays > size)[label]
     return found
-
-
-def staying(
-    I1: Array, I2: Array, dead: Mask, u: Array, doubted: tuple[Lines, ...]
-) -> tuple[Lines, ...]:
-    """Lines that stay as they are, though a displacement, px, carries the images without them.
-
-    What the motion leaves of the images with them are then lines less lines that it has moved, and
-    nothing of that if they are layers of the sample.
-    """
-    rest, used, gain = left(I1, I2, dead, u)
-    if not used.any():
-        return ()
-    changes = []
-    for line in doubted:
-        moved, _ = Spline(np.broadcast_to(line.after, I2.shape)).warp(u)
-        change = np.broadcast_to(line.before, I1.shape)[used] - gain * moved[used]
-        changes.append(change - change.mean())
-        rest += changes[-1]
-    variances = np.array([change @ change / change.size for change in changes])
-    seen = variances > SEEN * np.array([line.before.var() for line in doubted])
-    G = np.array([[f @ g for g in changes] for f in changes])
-    parts = np.linalg.lstsq(G, np.array([f @ rest for f in changes]))[0]
-    stay = seen & (parts > OWN)
-    return tuple(line for line, told in zip(doubted, stay, strict=True) if told)
-
-
-def left(I1: Array, I2: Array, dead: Mask, u: Array) -> tuple[Array, Mask, float]:
-    """What a displacement, px, leaves of I1, but for a gain and an offset; where; and the gain."""
-    warped, used = Spline(I2).warp(u)
-    used &= ~dead
-    if not used.any():
-        return np.zeros(0), used, 1.0
-    before, after = I1[used], warped[used]
-    gain = float(before.std() / (after.std() + TINY))
-    rest = before - gain * after
-    return rest - rest.mean(), used, gain

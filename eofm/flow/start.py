@@ -124,6 +124,18 @@ def details(I1: Array, I2: Array, u: Array, grid: Grid, live: Mask) -> float:
     return float(local.mean(where=seen)) if seen.any() else 0.0
 
 
+def left(I1: Array, I2: Array, dead: Mask, u: Array) -> tuple[Array, Mask, float]:
+    """What a displacement, px, leaves of I1, but for a gain and an offset; where; and the gain."""
+    warped, used = Spline(I2).warp(u)
+    used &= ~dead
+    if not used.any():
+        return np.zeros(0), used, 1.0
+    before, after = I1[used], warped[used]
+    gain = float(before.std() / (after.std() + TINY))
+    rest = before - gain * after
+    return rest - rest.mean(), used, gain
+
+
 def _details(I1: Array, I2: Array, u: Array, grid: Grid, live: Mask) -> tuple[Array, Mask]:
     I1, I2 = (I - blur(I, (DETAIL,) * I.ndim) for I in (I1, I2))
     local, seen = _correlation(I1, I2, u, grid, PATCH)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from eofm.errors import InputError
-from eofm.flow.estimate import Estimate
+from eofm.flow.found import Estimate
 from eofm.flow.images import COARSE, FINEST, image_pair
 from eofm.flow.matching import ImagePair, Match, Overall
 from eofm.flow.multigrid import multigrid

@@ -9,7 +9,8 @@ import scipy.sparse as sp
 from eofm.elasticity.forward import deform
 from eofm.elasticity.sensitivity import Elastic
 from eofm.errors import InputError
-from eofm.flow.estimate import Estimate, estimate_displacement
+from eofm.flow.estimate import estimate_displacement
+from eofm.flow.found import Estimate
 from eofm.flow.known import Known
 from eofm.grid import FACES, Array, Edge
 from eofm.settings import Estimation, Identification, Sample

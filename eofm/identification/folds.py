@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from skimage.feature import peak_local_max
 from skimage.segmentation import watershed
 
-from eofm.flow.estimate import Estimate
+from eofm.flow.found import Estimate
 from eofm.flow.functional import Pointwise, Quadratic
 from eofm.flow.matching import Match
 from eofm.flow.multigrid import multigrid

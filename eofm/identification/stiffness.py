@@ -21,7 +21,8 @@ from tqdm import tqdm
 from eofm.elasticity.forward import press
 from eofm.elasticity.sensitivity import Elastic
 from eofm.errors import InputError
-from eofm.flow.estimate import Estimate, estimate_displacement
+from eofm.flow.estimate import estimate_displacement
+from eofm.flow.found import Estimate
 from eofm.flow.known import Known
 from eofm.grid import FACES, Array, Edge, Mask, componentwise, faces, unit_spacing
 from eofm.identification.choice import NONE, Choice, Fit, choose, clearly_better

@@ -1,6 +1,6 @@
 """Error bars of an identified sample.
 
-As in `eofm.flow.estimate.Estimate.deviation`, with the Gauss-Newton Hessian H and the prior R
+As in `eofm.flow.found.Estimate.deviation`, with the Gauss-Newton Hessian H and the prior R
 of the modulus: the deviation of a sample of the posterior is
 ``H^-1 (J^T f + R^(1/2) z)`` with normal z, and for f the residuals, with one random sign
 for each block of pixels.

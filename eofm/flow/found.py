@@ -1,0 +1,139 @@
+"""What an estimate found, and what its images say of it: verdict and error bars."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import islice
+
+import numpy as np
+
+from eofm.flow.functional import Quadratic
+from eofm.flow.matching import ImagePair, Match
+from eofm.flow.trust import Trust, judge
+from eofm.flow.uncertainty import Errors
+from eofm.grid import Array, Edge, Mask, componentwise
+from eofm.imaging.gaussian import blur
+from eofm.imaging.splines import resize, resize_field
+
+# Width of the average of variances of draws, px.
+VARIANCE = 4.0
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """An estimate and what it came from.
+
+    Attributes
+    ----------
+    u : ndarray, shape (2, height, width) or (3, depth, height, width)
+        Displacement ``u = u_bg + v``, px, with ``I2(x + u(x)) = I1(x)``: lateral (to the
+        right), axial (down) and, of volumes, elevational motion of what was at x before
+        compression.
+    alpha : float
+        Weight of the smoothness term on the last scale, of the preset where motion is rough.
+    pair : ImagePair
+        The images on the last scale.
+    denoising : float, optional
+        Filter of the linearised images, see :meth:`eofm.flow.matching.Match.filtered`.
+    functional : Quadratic
+        The F that was minimised last.
+    base : ndarray, shape (ndim, ...)
+        The field to which the last scale added what R acts on, in the unit of ``functional``.
+    ease : ndarray, shape (height, width), optional
+        By which alpha is divided at each pixel, see :func:`eofm.flow.roughness.ease`.
+    printed : ndarray of bool, of the images' shape
+        Frames and labels, alike in both images, which were left out.
+    spacing : tuple of float
+        Sides of a pixel in the unit of ``functional``, lateral first.
+    edges : tuple of str
+        Those whose motion was stated.
+    lines : tuple of int
+        Axes of the images along which lines of a detector change that were taken off: 0 for rows
+        and 1 for columns of an image.
+    """
+
+    u: Array
+    alpha: float
+    pair: ImagePair
+    denoising: float | None
+    functional: Quadratic
+    base: Array
+    ease: Array | None
+    printed: Mask
+    spacing: tuple[float, ...]
+    edges: tuple[Edge, ...] = ()
+    lines: tuple[int, ...] = ()
+
+    @property
+    def weight(self) -> float | Array:
+        """Weight of the smoothness term, at each pixel where it is not alike everywhere."""
+        if self.ease is None:
+            return self.alpha
+        return self.alpha / resize(self.ease, self.u.shape[1:])
+
+    @property
+    def _sides(self) -> Array:
+        return componentwise(self.spacing, len(self.spacing))
+
+    @property
+    def lengths(self) -> Array:
+        """The displacement in true lengths on the grid of ``pair``."""
+        return resize_field(self._sides * self.u, self.pair.grid.shape)
+
+    @cached_property
+    def match(self) -> Match:
+        """The images linearised about ``u``, in true lengths."""
+        return self.pair.linearise_near(self.lengths, self.denoising)
+
+    @cached_property
+    def trust(self) -> Trust:
+        """Whether the images, on the last scale, bear the estimate out."""
+        # As they are: not even their brightness is fitted.
+        pair = replace(self.pair, robust=False)
+        match = pair.linearise(self.lengths)
+        samples = pair.grid.samples(self.lengths)
+        trust = judge(pair.I1, pair.I1 + match.r, match.used, samples, self.edges)
+        return trust.on(self.u.shape[1:])
+
+    def deviation(self, samples: int = 32, seed: int = 0) -> Array:
+        """Return the standard deviation of the displacement at each pixel, px.
+
+        Parameters
+        ----------
+        samples : int
+            Number of samples; the relative error of the result is about
+            ``1/sqrt(2 samples)``.
+        seed : int
+
+        Returns
+        -------
+        ndarray, of the shape of ``u``
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import eofm
+        >>> before, after, _ = eofm.make_phantom(np.full((2, 40, 60), 0.3))
+        >>> eofm.estimate_displacement(before, after).deviation(samples=4).shape
+        (2, 40, 60)
+        """
+        squares = np.zeros_like(self.u)
+        for sample in self.samples(samples, seed):
+            squares += sample**2
+        # Few draws tell little of one place.
+        return np.sqrt(np.stack([blur(variance, VARIANCE) for variance in squares / samples]))
+
+    def samples(self, count: int, seed: int = 0) -> Iterator[Array]:
+        """Errors of the displacement as they may be, of its shape, px.
+
+        See :class:`eofm.flow.uncertainty.Errors`. A speckle term on the finest scale
+        (``speckle_scales="all"``) counts as exact.
+        """
+        for error in islice(self.errors.draws(np.random.default_rng(seed)), count):
+            yield resize_field(error, self.u.shape[1:]) / self._sides
+
+    @cached_property
+    def errors(self) -> Errors:
+        """What errors are drawn from."""
+        match = self.match.eased(self.ease)
+        return Errors(self.functional, match, match.u - self.base, self.ease)
