@@ -166,12 +166,13 @@ def _coarse_to_fine(
     first, u = (0, problem.u_bg) if start is None else (max(0, len(pairs) - FINEST), start)
     chosen: tuple[float, ...] = ()
     hidden = None if progress else True
-    compared = min(largest_small(problem.grids), len(pairs) - 1 - FINEST)
+    # Of small images, it is the coarser one of two.
+    compared = min(largest_small(problem.grids), max(len(pairs) - 1 - FINEST, 0))
     for number in tqdm(range(first, len(pairs)), "scales", disable=hidden):
         pair = pairs[number]
         level = problem.level(number, pair, u)
         u, alpha, F, chosen, factor = level.improve(chosen, progress)
-        if settings.robust and number == compared:
+        if settings.robust and number == compared < len(pairs) - 1:
             u = best_start(problem, number, pairs, u)
             u = leave_out(problem, number, pairs, u) if ndim == 2 else u
     shading = 0.0

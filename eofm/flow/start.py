@@ -63,10 +63,19 @@ def match_blocks(I1: Array, I2: Array, grid: Grid) -> Array | None:
         return None
     here, b = np.zeros(grid.shape, I1.dtype), np.zeros((grid.ndim, *grid.shape), I1.dtype)
     middles = (s + (side - 1) // 2 for s, side in zip(starts, search.block, strict=True))
-    at = tuple(x[k] for x, k in zip(middles, kept, strict=True))
-    here[at] = 1.0
-    for f, c, h in zip(b, u, grid.spacing, strict=True):
-        f[at] = h * c[kept]
+    at = np.stack([x[k] for x, k in zip(middles, kept, strict=True)])
+    motion = np.stack([c[kept] for c in u])
+    for axis, side in enumerate(search.block):
+        if np.ptp(at[axis]) == 0:
+            # A single layer of blocks tells no slope across it: each moves as a whole.
+            quarter = np.zeros((grid.ndim, 1), dtype=int)
+            quarter[axis] = side // 4
+            at, motion = np.hstack([at - quarter, at + quarter]), np.hstack([motion, motion])
+    if np.linalg.matrix_rank(at - at[:, :1]) < grid.ndim:
+        return None
+    here[*at] = 1.0
+    for f, c, h in zip(b, motion, grid.spacing, strict=True):
+        f[*at] = h * c
     # A structure of the blocks' distance is held as firmly as by a block.
     alpha = search.stride ** (4 - grid.ndim) * float(np.prod(grid.spacing)) ** (4 / grid.ndim)
     F = Quadratic(grid, isotropic(here, b), alpha, np.ones(grid.shape, dtype=bool), "bending")

@@ -185,7 +185,7 @@ def correlate(I1: Array, I2: Array, used: Mask, side: int | None = None) -> Wind
     hann = np.hanning(side + 2)[1:-1]
     window: Array = reduce(np.multiply.outer, [hann] * ndim)
     least = [CONTRAST * np.std(I[used]) if used.any() else 0.0 for I in (I1, I2)]
-    reach = side // 4
+    reach = max(side // 4, 2)  # a peak has neighbours on both sides
     offsets = np.arange(-reach, reach + 1)
     # Windows that are shifted overlap less, which would lower peaks that stand off the middle.
     overlap = np.correlate(hann, hann, "full")[side - 1 + offsets] / (hann @ hann)

@@ -113,6 +113,14 @@ def test_a_shift_by_a_quarter_of_the_image_is_found(shift):
     assert np.hypot(*(found - u))[seen].mean() < 0.05
 
 
+@pytest.mark.parametrize(("shape", "shift"), [((24, 160), (24.0, -2.0)), ((160, 40), (3.0, 25.0))])
+def test_a_far_shift_of_a_strip_is_found(shape, shift):
+    u = np.broadcast_to(np.reshape(shift, (2, 1, 1)), (2, *shape)).copy()
+    found = eofm.estimate_displacement(*speckle(u)).u
+    seen = eofm.grid.inside(shape, u + np.mgrid[: shape[0], : shape[1]][::-1])
+    assert np.hypot(*(found - u))[seen].mean() < 0.05
+
+
 def test_blocks_are_found_where_they_moved():
     u = motion((96, 96), 6.0)
     images = (normalise_locally(I, (8.0, 8.0)) for I in speckle(u))
