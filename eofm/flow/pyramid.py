@@ -12,9 +12,9 @@ from eofm.imaging.splines import Spline
 
 # Fewer samples than this along a side say nothing about a displacement.
 SMALLEST = 4
-# Fewer than this are not asked for where the number of scales is left open; the depth of a volume,
-# mostly its shortest side, stays as it is then.
-SMALL = 12
+# Fewer than this are not asked for where the number of scales is left open. The depth of a volume,
+# mostly its shortest side, stays as it is then, and so does a side of what is so many times longer.
+SMALL, LONG = 12, 4
 # Side of the image, or volume, on which starts are compared, samples.
 SIDE = {2: 160, 3: 48}
 
@@ -30,8 +30,9 @@ def pyramid(
 
     Distances are measured in the same unit on all of them, in which ``spacing`` is that of
     the finest grid, so that displacements, bubbles, sigma, alpha and beta keep their
-    values from scale to scale. Without ``scales`` there are as many as leave 12 px. The finest
-    ones that are ``skipped`` do not count, unless there is no other.
+    values from scale to scale. Without ``scales`` there are as many as leave 12 px, and a side
+    that has no more is kept where others are four times longer. The finest ones that are
+    ``skipped`` do not count, unless there is no other.
 
     Raises
     ------
@@ -42,7 +43,7 @@ def pyramid(
         raise InputError(f"a volume of {_size(shape)} is too thin; give {SMALLEST} slices at least")
     grids = [Grid(shape, spacing)]
     for scale in range(1, scales + skipped if scales else max(shape)):
-        coarser = _coarser(grids[-1].shape, factor, SMALL if scales is None else SMALLEST)
+        coarser = _coarser(grids[-1].shape, factor, scales is None)
         if coarser is None:
             if scales is None:
                 break
@@ -56,12 +57,17 @@ def pyramid(
     return (grids[skipped:] or grids)[::-1]
 
 
-def _coarser(shape: tuple[int, ...], factor: float, least: int) -> tuple[int, ...] | None:
+def _coarser(shape: tuple[int, ...], factor: float, unasked: bool) -> tuple[int, ...] | None:
     """The next grid's shape, if there is one with at least some samples along each side."""
-    coarser = tuple(ceil((n - 1) * factor) + 1 for n in shape)
-    if len(shape) == 3 and coarser[0] < least:
-        coarser = shape[0], *coarser[1:]
-    return None if min(coarser[-2:]) < least or coarser == shape else coarser
+    least = SMALL if unasked else SMALLEST
+    coarser = [ceil((n - 1) * factor) + 1 for n in shape]
+    for axis, (n, m) in enumerate(zip(shape, coarser, strict=True)):
+        depth = len(shape) == 3 and axis == 0
+        short = unasked and SMALL <= n < max(shape) / LONG
+        if m < least and (depth or short):
+            coarser[axis] = n
+    too_small = any(m < least and m < n for n, m in zip(shape, coarser, strict=True))
+    return None if too_small or tuple(coarser) == shape else tuple(coarser)
 
 
 def largest_small(grids: Sequence[Grid]) -> int:
