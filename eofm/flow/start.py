@@ -104,7 +104,8 @@ def consistent(u: Array, found: Mask) -> Mask:
 
 def correlation(I1: Array, I2: Array, u: Array, grid: Grid) -> float:
     """Mean of the local correlation of two images after a displacement; 0 where it leaves them."""
-    local, seen = _correlation(I1, I2, u, grid, WIDTH)
+    # Out of the image by rounding is not out of it: of small images, the outer pixels are many.
+    local, seen = _correlation(I1, I2, np.round(grid.samples(u), 3), WIDTH)
     return float((local * seen).mean())
 
 
@@ -147,13 +148,13 @@ def left(I1: Array, I2: Array, dead: Mask, u: Array) -> tuple[Array, Mask, float
 
 def _details(I1: Array, I2: Array, u: Array, grid: Grid, live: Mask) -> tuple[Array, Mask]:
     I1, I2 = (I - blur(I, (DETAIL,) * I.ndim) for I in (I1, I2))
-    local, seen = _correlation(I1, I2, u, grid, PATCH)
+    local, seen = _correlation(I1, I2, grid.samples(u), PATCH)
     return local, seen & live
 
 
-def _correlation(I1: Array, I2: Array, u: Array, grid: Grid, width: float) -> tuple[Array, Mask]:
+def _correlation(I1: Array, I2: Array, samples: Array, width: float) -> tuple[Array, Mask]:
     """Local correlation of two images after a displacement, and where it stays within them."""
-    warped, seen = Spline(I2).warp(grid.samples(u))
+    warped, seen = Spline(I2).warp(samples)
     around = Window(seen, width)
     m1, m2 = around.mean(I1), around.mean(warped)
     v1, v2 = around.mean(I1**2) - m1**2, around.mean(warped**2) - m2**2
