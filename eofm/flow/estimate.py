@@ -16,7 +16,7 @@ from eofm.flow.labels import labels
 from eofm.flow.matching import ImagePair
 from eofm.flow.problem import Improved, Level, Problem
 from eofm.flow.pyramid import largest_small
-from eofm.flow.start import correlation, details, left, match_blocks, unlike
+from eofm.flow.start import correlation, details, match_blocks, ratio_left, unlike
 from eofm.flow.weight import around
 from eofm.grid import Array, Mask, componentwise, unit_spacing
 from eofm.imaging.intensity import normalise, normalise_locally
@@ -30,8 +30,8 @@ SHADED, LESS, CLEARLY = 0.05, 0.98, 1e-3
 # Change of brightness up to which there may be none, and what another field then leaves of the
 # images' difference at most.
 STEADY, BETTER = 0.02, 0.95
-# What a field from another start leaves of the images, at most.
-CLEARER = 0.97
+# What a field from another start leaves of the variance of the images' difference, at most.
+CLEARER = 0.94
 # How often what the images do not share is looked for, and how far from dead pixels, samples.
 TURNS, BESIDE = 3, 6
 
@@ -119,7 +119,7 @@ def _estimate(I1: Array, I2: Array, settings: Estimation, known: Known, progress
     if settings.robust and I1.ndim == 2:
         left_out = labels(I1, I2, settings, known)
         known = replace(known, dead=left_out | known.dead_on(I1.shape))
-    images, dead = Images.of(I1, I2, settings, known), known.dead_on(I1.shape)
+    images = Images.of(I1, I2, settings, known)
     run = partial(_coarse_to_fine, known=known, left_out=left_out, progress=progress)
     start: Array | None = None
     found, shaded = run(images, settings)
@@ -127,8 +127,7 @@ def _estimate(I1: Array, I2: Array, settings: Estimation, known: Known, progress
         by_amplitude, _ = run(images.amplitudes, settings)
         other, also = run(images, settings, start=by_amplitude.lengths)
         # Where a field is off by a period, its images have been said to show different things.
-        much, less = (left(I1, I2, dead, f.u)[0].std() for f in (found, other))
-        if less < CLEARER * much:
+        if ratio_left(I1, I2, known.dead_on(I1.shape), found.u, other.u) < CLEARER:
             log.debug("the images oscillate: their amplitude's motion is the better start")
             found, shaded, start = other, also, by_amplitude.lengths
     if not shaded:

@@ -146,6 +146,20 @@ def left(I1: Array, I2: Array, dead: Mask, u: Array) -> tuple[Array, Mask, float
     return rest - rest.mean(), used, gain
 
 
+def ratio_left(I1: Array, I2: Array, dead: Mask, u: Array, other: Array) -> float:
+    """Variance that another displacement, px, leaves as a part of that which ``u`` leaves.
+
+    Where both stay within the image. If that is less than half of it, it is 0 or infinite, as the
+    other one does or not.
+    """
+    seen, there = (left(I1, I2, dead, v)[1] for v in (u, other))
+    both, enough = seen & there, np.count_nonzero(~dead) / 2
+    if np.count_nonzero(both) < enough:
+        return np.inf if np.count_nonzero(there) < enough else 0.0
+    much, less = (left(I1, I2, ~both, v)[0].var() for v in (u, other))
+    return float(less / (much + TINY))
+
+
 def _details(I1: Array, I2: Array, u: Array, grid: Grid, live: Mask) -> tuple[Array, Mask]:
     I1, I2 = (I - blur(I, (DETAIL,) * I.ndim) for I in (I1, I2))
     local, seen = _correlation(I1, I2, grid.samples(u), PATCH)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import eofm
+from eofm.flow.start import ratio_left
 
 PERIOD = 5.0
 
@@ -31,3 +32,14 @@ def test_motions_of_more_than_a_period_are_found(shape, strain):
     assert np.abs(u[1]).max() > PERIOD
     assert error.mean() < 0.02
     assert found.trust.verdict == "good"
+
+
+def test_the_field_that_leaves_less_is_told_though_one_leaves_the_image():
+    image = waves((40, 60), 5.0)
+    x = np.stack(np.indices((40, 60))[::-1]).astype(float)
+    u = np.full((2, 40, 60), 1.5)
+    I1, I2, alive = image(x + u), image(x), np.zeros((40, 60), dtype=bool)
+    assert ratio_left(I1, I2, alive, u + 1, u) < 0.1
+    assert ratio_left(I1, I2, alive, u, u + 1) > 10
+    assert ratio_left(I1, I2, alive, u + 50, u) == 0
+    assert ratio_left(I1, I2, alive, u, u + 50) == np.inf
