@@ -32,6 +32,8 @@ SHADED, LESS, CLEARLY = 0.05, 0.98, 1e-3
 STEADY, BETTER = 0.02, 0.95
 # What a field from another start leaves of the variance of the images' difference, at most.
 CLEARER = 0.94
+# Least correlation after a start of images of two scales, whose few blocks may match by chance.
+LIKELY = 0.5
 # How often what the images do not share is looked for, and how far from dead pixels, samples.
 TURNS, BESIDE = 3, 6
 
@@ -213,7 +215,9 @@ def best_start(problem: Problem, number: int, pairs: Sequence[ImagePair], u: Arr
     if matched is None:
         return u
     other = problem.level(number, pair, matched).improve((), False).u
-    return max(u, other, key=lambda v: correlation(pair.I1, pair.I2, v, pair.grid))
+    before, after = (correlation(pair.I1, pair.I2, v, pair.grid) for v in (u, other))
+    likely = len(problem.grids) > FINEST or after >= LIKELY
+    return other if after > before and likely else u
 
 
 def leave_out(problem: Problem, number: int, pairs: list[ImagePair], u: Array) -> Array:

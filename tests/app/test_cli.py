@@ -210,7 +210,7 @@ def test_an_estimate_without_bubbles_does_not_wait_for_pandas():
 def test_an_estimate_that_must_not_be_trusted_says_so(folder, tmp_path, capsys):
     """Images that have nothing in common: there is a result, a reason, and status 3."""
     other = tmp_path / "other.tif"
-    tifffile.imwrite(other, io.read_image(folder / "b.tif")[::-1].astype(np.float32))
+    tifffile.imwrite(other, io.read_image(folder / "b.tif")[::-1, ::-1].astype(np.float32))
     words = ["estimate", folder / "a.tif", other, "--output", tmp_path / "u.tif"]
     assert main([str(word) for word in words]) == 3
     assert capsys.readouterr().err.startswith("eofm estimate: failed: only ")
