@@ -140,10 +140,8 @@ def left(I1: Array, I2: Array, dead: Mask, u: Array) -> tuple[Array, Mask, float
     used &= ~dead
     if not used.any():
         return np.zeros(0), used, 1.0
-    before, after = I1[used], warped[used]
-    gain = float(before.std() / (after.std() + TINY))
-    rest = before - gain * after
-    return rest - rest.mean(), used, gain
+    rest, gain = _rest(I1[used], warped[used])
+    return rest, used, gain
 
 
 def ratio_left(I1: Array, I2: Array, dead: Mask, u: Array, other: Array) -> float:
@@ -152,12 +150,21 @@ def ratio_left(I1: Array, I2: Array, dead: Mask, u: Array, other: Array) -> floa
     Where both stay within the image. If that is less than half of it, it is 0 or infinite, as the
     other one does or not.
     """
-    seen, there = (left(I1, I2, dead, v)[1] for v in (u, other))
+    after = Spline(I2)
+    (first, seen), (second, there) = (after.warp(v) for v in (u, other))
+    there &= ~dead
     both, enough = seen & there, np.count_nonzero(~dead) / 2
     if np.count_nonzero(both) < enough:
         return np.inf if np.count_nonzero(there) < enough else 0.0
-    much, less = (left(I1, I2, ~both, v)[0].var() for v in (u, other))
+    much, less = (_rest(I1[both], warped[both])[0].var() for warped in (first, second))
     return float(less / (much + TINY))
+
+
+def _rest(before: Array, after: Array) -> tuple[Array, float]:
+    """What is left of values, but for a gain and an offset, and the gain."""
+    gain = float(before.std() / (after.std() + TINY))
+    rest = before - gain * after
+    return rest - rest.mean(), gain
 
 
 def _details(I1: Array, I2: Array, u: Array, grid: Grid, live: Mask) -> tuple[Array, Mask]:
