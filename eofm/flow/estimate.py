@@ -13,7 +13,7 @@ from eofm.flow.found import Estimate
 from eofm.flow.images import COARSE, FINEST, Images, resized
 from eofm.flow.known import Known
 from eofm.flow.labels import labels
-from eofm.flow.matching import ImagePair
+from eofm.flow.pair import ImagePair
 from eofm.flow.problem import Improved, Level, Problem
 from eofm.flow.pyramid import largest_small
 from eofm.flow.start import correlation, details, match_blocks, ratio_left, unlike

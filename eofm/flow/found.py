@@ -8,7 +8,8 @@ from itertools import islice
 import numpy as np
 
 from eofm.flow.functional import Quadratic
-from eofm.flow.matching import ImagePair, Match
+from eofm.flow.matching import Match
+from eofm.flow.pair import ImagePair
 from eofm.flow.trust import Trust, judge
 from eofm.flow.uncertainty import Errors
 from eofm.grid import Array, Edge, Mask, componentwise

@@ -6,7 +6,8 @@ from typing import Self
 import numpy as np
 
 from eofm.flow.known import Known
-from eofm.flow.matching import ImagePair, Overall
+from eofm.flow.matching import Overall
+from eofm.flow.pair import ImagePair
 from eofm.flow.pyramid import sampled
 from eofm.grid import Array, Grid, Mask, precision, unit_spacing
 from eofm.imaging.carrier import amplitude, has_carrier

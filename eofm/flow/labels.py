@@ -6,7 +6,7 @@ import numpy as np
 
 from eofm.flow.images import Images, resized
 from eofm.flow.known import Known
-from eofm.flow.matching import ImagePair
+from eofm.flow.pair import ImagePair
 from eofm.flow.problem import Problem
 from eofm.flow.pyramid import largest_small
 from eofm.grid import Array, Mask

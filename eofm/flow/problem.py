@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from eofm.errors import InputError
 from eofm.flow.functional import Pointwise, Quadratic, edge_term, speckle_term
 from eofm.flow.known import Known
-from eofm.flow.matching import ImagePair, Match
+from eofm.flow.matching import Match
 from eofm.flow.multigrid import multigrid
+from eofm.flow.pair import ImagePair
 from eofm.flow.pyramid import pyramid, solving
 from eofm.flow.roughness import ease
 from eofm.flow.weight import choose_alpha, enough, first_alpha

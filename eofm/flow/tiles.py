@@ -19,8 +19,9 @@ import numpy as np
 from eofm.errors import InputError
 from eofm.flow.found import Estimate
 from eofm.flow.images import COARSE, FINEST, image_pair
-from eofm.flow.matching import ImagePair, Match, Overall
+from eofm.flow.matching import Match, Overall
 from eofm.flow.multigrid import multigrid
+from eofm.flow.pair import ImagePair
 from eofm.flow.problem import ROUGH, Level, Problem, nothing
 from eofm.flow.trust import Trust, judge
 from eofm.flow.weight import (

@@ -6,7 +6,8 @@ import pytest
 import eofm
 import eofm.flow.estimate
 import eofm.grid
-from eofm.flow.matching import Overall, brightness
+from eofm.flow.matching import Overall
+from eofm.flow.pair import brightness
 from eofm.flow.start import consistent, match_blocks, unlike
 from eofm.grid import Grid
 from eofm.imaging.defects import Levels, defects, defects_by_kind

@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import eofm
-from eofm.flow.trust import correlate, folds, judge
+from eofm.flow.trust import folds, judge
+from eofm.flow.windows import correlate
 from eofm.imaging.splines import evaluate, warp
 
 SHAPE = (120, 152)

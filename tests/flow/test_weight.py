@@ -6,8 +6,9 @@ import pytest
 from eofm.flow.estimate import estimate_displacement
 from eofm.flow.functional import Quadratic
 from eofm.flow.known import Known
-from eofm.flow.matching import ImagePair, Match, held_out
+from eofm.flow.matching import Match, held_out
 from eofm.flow.multigrid import multigrid
+from eofm.flow.pair import ImagePair
 from eofm.flow.roughness import ease, squared_bending
 from eofm.flow.weight import choose_alpha, drawn, first_alpha
 from eofm.grid import Grid
