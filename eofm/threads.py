@@ -15,7 +15,7 @@ R = TypeVar("R")
 
 
 def use_threads(count: int | None) -> None:
-    """Give compiled loops some threads, or all cores, and BLAS one.
+    """Give compiled loops some threads, as many as there are cores at most, and BLAS one.
 
     BLAS would take as many as there are cores, and its sums depend on their number.
 
@@ -29,6 +29,8 @@ def use_threads(count: int | None) -> None:
     threadpool_limits(1, user_api="blas")
     if count is None:
         return
+    # More only wait for each other, a hundred times as long as the work takes.
+    count = min(count, os.cpu_count() or 1)
     if "eofm.compiled" in sys.modules:
         from eofm import compiled
 

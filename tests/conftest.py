@@ -11,6 +11,7 @@ import pytest
 from hypothesis import settings
 
 import eofm
+from eofm.compiled import use_threads
 
 # The same examples in every run, on machines of any speed.
 settings.register_profile("eofm", deadline=None, derandomize=True, max_examples=50)
@@ -28,6 +29,14 @@ LONGEST += ["test_page", "test_steps", "test_choice", "test_cli", "test_figures"
 def pytest_collection_modifyitems(items):
     rank = {name: number for number, name in enumerate(LONGEST)}
     items.sort(key=lambda item: rank.get(item.path.stem, len(rank)))
+
+
+@pytest.fixture(autouse=True)
+def same_threads():
+    """What a step takes, it takes for the whole process: not for the tests after it."""
+    before = use_threads(2)
+    yield
+    use_threads(before)
 
 
 @pytest.fixture(scope="session")

@@ -2,11 +2,13 @@
 
 import faulthandler
 import itertools
+import os
 import sys
 
 import numpy as np
 import pytest
 
+from eofm import compiled
 from eofm.app.cli import STEPS, main
 from eofm.app.options import sections_of
 from eofm.elasticity.forward import CELL, true_field
@@ -123,6 +125,7 @@ def test_any_number_of_threads_is_refused_or_taken(value, folder, capsys):
     assert status == (0 if value.startswith("1000") else 1 if value == "0" else 2)
     lines = said.splitlines()
     assert status == 0 or lines[-1].startswith("eofm track: "), said
+    assert compiled.use_threads(1) <= os.cpu_count()
 
 
 def test_more_bubbles_than_pixels_and_scatterers_than_can_be_told_apart_are_refused():
