@@ -32,6 +32,9 @@ SHADED, LESS, CLEARLY = 0.05, 0.98, 1e-3
 STEADY, BETTER = 0.02, 0.95
 # What a field from another start leaves of the variance of the images' difference, at most.
 CLEARER = 0.94
+# Part of the weight of coarse scales with which they follow motions that vary within some of their
+# samples, and what they then leave at most of how far the images are from correlating.
+SOFT, FOLLOWED = 0.01, 0.75
 # Least correlation after a start of images of two scales, whose few blocks may match by chance.
 LIKELY = 0.5
 # How often what the images do not share is looked for, and how far from dead pixels, samples.
@@ -165,17 +168,18 @@ def _coarse_to_fine(
     pairs = images.pairs(problem.grids, settings, known)
     decides = settings.robust and settings.local_window is None
     first, u = (0, problem.u_bg) if start is None else (max(0, len(pairs) - FINEST), start)
-    chosen: tuple[float, ...] = ()
+    chosen, part = tuple[float, ...](), 1.0
     hidden = None if progress else True
     # Of small images, it is the coarser one of two.
     compared = min(largest_small(problem.grids), max(len(pairs) - 1 - FINEST, 0))
     for number in tqdm(range(first, len(pairs)), "scales", disable=hidden):
         pair = pairs[number]
         level = problem.level(number, pair, u)
-        u, alpha, F, chosen, factor = level.improve(chosen, progress)
+        u, alpha, F, chosen, factor = level.improve(chosen, progress, part)
         if settings.robust and number == compared < len(pairs) - 1:
-            u = best_start(problem, number, pairs, u)
-            u = leave_out(problem, number, pairs, u) if ndim == 2 else u
+            u, part = followed(problem, number, pairs, u) if settings.alpha is None else (u, part)
+            u = best_start(problem, number, pairs, u, part)
+            u = leave_out(problem, number, pairs, u, part) if ndim == 2 else u
     shading = 0.0
     if decides:
         coarser = pairs[max(0, len(pairs) - FINEST)]
@@ -203,7 +207,25 @@ def steady(level: Level, u: Array, alpha: float) -> tuple[ImagePair, Improved] |
     return (pair, found) if after.noise < BETTER * before.noise else None
 
 
-def best_start(problem: Problem, number: int, pairs: Sequence[ImagePair], u: Array) -> Array:
+def followed(
+    problem: Problem, number: int, pairs: Sequence[ImagePair], u: Array
+) -> tuple[Array, float]:
+    """That of ``u``, on a grid, and the field of softer grids that leaves clearly less unlike.
+
+    And the part of the weight that it takes. Small weights follow noise, where a large one does not
+    follow a motion that turns within some samples.
+    """
+    soft = problem.u_bg
+    for coarser in range(number + 1):
+        soft = problem.level(coarser, pairs[coarser], soft).improve((), False, SOFT).u
+    pair = pairs[number]
+    missed, left = (1 - correlation(pair.I1, pair.I2, v, pair.grid) for v in (u, soft))
+    return (soft, SOFT) if left < FOLLOWED * missed else (u, 1.0)
+
+
+def best_start(
+    problem: Problem, number: int, pairs: Sequence[ImagePair], u: Array, part: float
+) -> Array:
     """That of ``u``, on a grid, and the field of matched blocks after which images correlate best.
 
     Blocks are matched on a grid that is fine enough for many of them.
@@ -214,13 +236,15 @@ def best_start(problem: Problem, number: int, pairs: Sequence[ImagePair], u: Arr
     matched = match_blocks(I1, I2, fine.grid)
     if matched is None:
         return u
-    other = problem.level(number, pair, matched).improve((), False).u
+    other = problem.level(number, pair, matched).improve((), False, part).u
     before, after = (correlation(pair.I1, pair.I2, v, pair.grid) for v in (u, other))
     likely = len(problem.grids) > FINEST or after >= LIKELY
     return other if after > before and likely else u
 
 
-def leave_out(problem: Problem, number: int, pairs: list[ImagePair], u: Array) -> Array:
+def leave_out(
+    problem: Problem, number: int, pairs: list[ImagePair], u: Array, part: float
+) -> Array:
     """Mark what the images do not share as dead on this grid and on finer ones; the field without.
 
     The field that it has pulled hides a part of it, so it is looked for again. Near pixels that
@@ -235,6 +259,6 @@ def leave_out(problem: Problem, number: int, pairs: list[ImagePair], u: Array) -
         for finer in range(number, len(pairs)):
             live = pairs[finer].live & ~resized(found, pairs[finer].grid.shape)
             pairs[finer] = replace(pairs[finer], live=live)
-        u = problem.level(number, pairs[number], u).improve((), False).u
-        u = best_start(problem, number, pairs, u)
+        u = problem.level(number, pairs[number], u).improve((), False, part).u
+        u = best_start(problem, number, pairs, u, part)
     return u

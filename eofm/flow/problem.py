@@ -168,10 +168,11 @@ class Level:
         F = Quadratic(self.pair.grid, terms, alpha, self.free, self.problem.settings.smoothness)
         return F.shifted(self.prescribed)
 
-    def improve(self, chosen: tuple[float, ...], progress: bool) -> "Improved":
+    def improve(self, chosen: tuple[float, ...], progress: bool, part: float = 1.0) -> "Improved":
         """Return a better displacement, in true lengths.
 
-        ``chosen`` are the weights that coarser grids have chosen.
+        ``chosen`` are the weights that coarser grids have chosen; until there is one, it is a
+        ``part`` of the first one that is tried.
         """
         settings, F = self.problem.settings, cast(Quadratic, None)
         factor: Array | None = None
@@ -183,12 +184,13 @@ class Level:
         for warp in range(settings.warps):
             del F  # what is not needed any more makes room: of volumes it is the half
             match = self._linearised(u, self.still and warp == 0, warp >= near)
-            alpha = weight or (chosen[-1] if chosen else first_alpha(match))
+            first = chosen[-1] if chosen else first_alpha(match)
+            alpha = weight or (first if chosen else part * first)
             if self.decides and warp == near:
                 if self.pair.robust and self.pair.grid.ndim == 2:
                     factor = ease(u - self.base, self.pair.grid, (match.g**2).sum(0) * match.used)
                 choice = choose_alpha(
-                    match, self.base, self.prescribed, self.free, alpha, chosen, factor
+                    match, self.base, self.prescribed, self.free, first, chosen, factor
                 )
                 chosen, weight = (*chosen, choice.best), choice.alpha
                 alpha = weight
