@@ -4,6 +4,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from tqdm import tqdm
@@ -32,7 +33,7 @@ SHADED, LESS, CLEARLY = 0.05, 0.98, 1e-3
 STEADY, BETTER = 0.02, 0.95
 # What a field from another start leaves of the variance of the images' difference, at most.
 CLEARER = 0.94
-# Part of the weight of coarse scales with which they follow motions that vary within some of their
+# Part of the first weight with which coarse scales follow motions that turn within some of their
 # samples, and what they then leave at most of how far the images are from correlating.
 SOFT, FOLLOWED = 0.01, 0.75
 # Least correlation after a start of images of two scales, whose few blocks may match by chance.
@@ -117,8 +118,9 @@ def estimate_displacement(
 def _estimate(I1: Array, I2: Array, settings: Estimation, known: Known, progress: bool) -> Estimate:
     """The estimate, as the images ask for it.
 
-    Of images that oscillate, it starts from their amplitude's motion if less of them is left then;
-    and they are normalised locally where that leaves more of them alike.
+    Where motion turns within some samples of coarse scales, these are softer if less of the images
+    is left then. Of images that oscillate, it starts from their amplitude's motion, likewise; and
+    they are normalised locally where that leaves more of them alike.
     """
     left_out = np.zeros(I1.shape, dtype=bool)
     if settings.robust and I1.ndim == 2:
@@ -126,27 +128,45 @@ def _estimate(I1: Array, I2: Array, settings: Estimation, known: Known, progress
         known = replace(known, dead=left_out | known.dead_on(I1.shape))
     images = Images.of(I1, I2, settings, known)
     run = partial(_coarse_to_fine, known=known, left_out=left_out, progress=progress)
-    start: Array | None = None
-    found, shaded = run(images, settings)
+    found, shaded, turns = run(images, settings)
+    # Where a field is off by a period, its images have been said to show different things.
+    clearer = partial(ratio_left, I1, I2, known.dead_on(I1.shape))
+    if turns:
+        soft = partial(run, part=SOFT)
+        other = soft(images, settings)
+        if clearer(found.u, other.found.u) < CLEARER:
+            log.debug("motion turns within some samples of coarse scales: they were softer")
+            (found, shaded, _), run = other, soft
     if settings.robust and images.oscillate:
-        by_amplitude, _ = run(images.amplitudes, settings)
-        other, also = run(images, settings, start=by_amplitude.lengths)
-        # Where a field is off by a period, its images have been said to show different things.
-        if ratio_left(I1, I2, known.dead_on(I1.shape), found.u, other.u) < CLEARER:
+        by_amplitude = run(images.amplitudes, settings).found
+        start = partial(run, start=by_amplitude.lengths)
+        other = start(images, settings)
+        if clearer(found.u, other.found.u) < CLEARER:
             log.debug("the images oscillate: their amplitude's motion is the better start")
-            found, shaded, start = other, also, by_amplitude.lengths
+            (found, shaded, _), run = other, start
     if not shaded:
         return found
-    local = settings.changed(local_window=COARSE)
-    other, _ = run(images, local, start=start)
+    local = run(images, settings.changed(local_window=COARSE)).found
     pair = found.pair
     missed, less = (
-        1 - details(pair.I1, pair.I2, f.lengths, pair.grid, pair.live) for f in (found, other)
+        1 - details(pair.I1, pair.I2, f.lengths, pair.grid, pair.live) for f in (found, local)
     )
     if less > LESS * missed or missed - less < CLEARLY:
         return found
     log.debug("brightness changes within structures of the image: it was normalised locally")
-    return other
+    return local
+
+
+class Run(NamedTuple):
+    """The estimate of one way through the scales, and what speaks for another one.
+
+    ``shaded`` where brightness changes so much that it may have been taken for motion; ``turns``
+    where motion may turn within some samples of the coarse scales, which then lose it.
+    """
+
+    found: Estimate
+    shaded: bool
+    turns: bool
 
 
 def _coarse_to_fine(
@@ -156,11 +176,12 @@ def _coarse_to_fine(
     left_out: Mask,
     progress: bool,
     start: Array | None = None,
-) -> tuple[Estimate, bool]:
-    """The estimate, and whether brightness changes so much that it may have taken that for motion.
+    part: float = 1.0,
+) -> Run:
+    """The estimate with a ``part`` of the first weight on coarse scales.
 
-    What changes within structures is not told from motion by the brightness that is fitted on the
-    finest scales. From a ``start``, in true lengths, these alone are gone through.
+    From a ``start``, in true lengths, the finest scales alone are gone through. What changes within
+    structures is not told from motion by the brightness that is fitted on these.
     """
     shape = images.I1.shape
     ndim = len(shape)
@@ -168,7 +189,7 @@ def _coarse_to_fine(
     pairs = images.pairs(problem.grids, settings, known)
     decides = settings.robust and settings.local_window is None
     first, u = (0, problem.u_bg) if start is None else (max(0, len(pairs) - FINEST), start)
-    chosen, part = tuple[float, ...](), 1.0
+    chosen, turns = tuple[float, ...](), False
     hidden = None if progress else True
     # Of small images, it is the coarser one of two.
     compared = min(largest_small(problem.grids), max(len(pairs) - 1 - FINEST, 0))
@@ -177,7 +198,7 @@ def _coarse_to_fine(
         level = problem.level(number, pair, u)
         u, alpha, F, chosen, factor = level.improve(chosen, progress, part)
         if settings.robust and number == compared < len(pairs) - 1:
-            u, part = followed(problem, number, pairs, u) if settings.alpha is None else (u, part)
+            turns = settings.alpha is None and part == 1 and misses(problem, number, pairs, u)
             u = best_start(problem, number, pairs, u, part)
             u = leave_out(problem, number, pairs, u, part) if ndim == 2 else u
     shading = 0.0
@@ -191,7 +212,7 @@ def _coarse_to_fine(
     u = problem.carried(u, shape) / componentwise(spacing, ndim)
     edges, width = tuple(problem.v_edges), settings.denoising
     found = Estimate(u, alpha, pair, width, F, level.base, factor, left_out, spacing, edges)
-    return found, shading > SHADED
+    return Run(found, shading > SHADED, turns)
 
 
 def steady(level: Level, u: Array, alpha: float) -> tuple[ImagePair, Improved] | None:
@@ -207,20 +228,18 @@ def steady(level: Level, u: Array, alpha: float) -> tuple[ImagePair, Improved] |
     return (pair, found) if after.noise < BETTER * before.noise else None
 
 
-def followed(
-    problem: Problem, number: int, pairs: Sequence[ImagePair], u: Array
-) -> tuple[Array, float]:
-    """That of ``u``, on a grid, and the field of softer grids that leaves clearly less unlike.
+def misses(problem: Problem, number: int, pairs: Sequence[ImagePair], u: Array) -> bool:
+    """Whether softer grids, up to one, leave clearly less unlike than a field there.
 
-    And the part of the weight that it takes. Small weights follow noise, where a large one does not
-    follow a motion that turns within some samples.
+    Small weights follow noise, where a large one does not follow a motion that turns within some
+    samples.
     """
     soft = problem.u_bg
     for coarser in range(number + 1):
         soft = problem.level(coarser, pairs[coarser], soft).improve((), False, SOFT).u
     pair = pairs[number]
     missed, left = (1 - correlation(pair.I1, pair.I2, v, pair.grid) for v in (u, soft))
-    return (soft, SOFT) if left < FOLLOWED * missed else (u, 1.0)
+    return left < FOLLOWED * missed
 
 
 def best_start(

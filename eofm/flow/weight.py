@@ -48,9 +48,6 @@ MARGIN = 2
 # find where motion was lost.
 Blocks = tuple[int, int]
 USUAL, SMALL, FOUND = (BLOCK, MARGIN), (4, 1), STEP**4
-# How much more is missed in blocks than in small ones, per squared gradient, where motion varies
-# fast.
-FAST = 1.5
 # Weight of volumes, times the first one, above which rounding in single precision outweighs the
 # images. The motion is as good as affine there.
 STIFFEST = 27.0
@@ -166,26 +163,15 @@ class Choice(NamedTuple):
 def best_weight(
     trials: "Callable[[Blocks], Sequence[Trial]]", start: float, before: Sequence[float]
 ) -> tuple[Choice, Blocks]:
-    """The weight with the least misfit on blocks of some size.
-
-    Smaller ones where motion is lost, and where it varies so fast that what is missed in a block is
-    what cannot be told from around it, which says little of the weight.
-    """
+    """The weight with the least misfit on blocks of some size, small ones where motion is lost."""
     usual = trials(USUAL)
     choice, side = least_misfit(usual, start, before), usual[0].match.grid.side
-    missed, small = choice.misfit / _squares(usual), trials(SMALL)
-    if not before and missed > (LOST * side) ** 2:
-        found = least_misfit(small, choice.best, lost=True)
-        if found.best < choice.best / FOUND:
-            return found, SMALL
-    if missed * _squares(small) > FAST * sum(t.misfit(choice.best) for t in small):
-        return least_misfit(small, choice.best, before), SMALL
+    squares = sum(float((t.counts * (t.match.g**2).sum(0)).sum()) for t in usual)
+    if not before and choice.misfit > (LOST * side) ** 2 * squares:
+        small = least_misfit(trials(SMALL), choice.best, lost=True)
+        if small.best < choice.best / FOUND:
+            return small, SMALL
     return choice, USUAL
-
-
-def _squares(trials: "Sequence[Trial]") -> float:
-    """Sum of the squared gradients on the pixels that are held out."""
-    return sum(float((t.counts * (t.match.g**2).sum(0)).sum()) for t in trials)
 
 
 def least_misfit(
