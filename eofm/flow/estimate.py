@@ -28,9 +28,9 @@ from eofm.settings import Estimation
 # Change of brightness, as a part of the contrast, that may be taken for motion. Images are then
 # normalised locally where that leaves fewer of the details unlike: by this factor, and difference.
 SHADED, LESS, CLEARLY = 0.05, 0.98, 1e-3
-# Change of brightness up to which there may be none, and what another field then leaves of the
-# images' difference at most.
-STEADY, BETTER = 0.02, 0.95
+# Change of brightness up to which there may be none, what a field then leaves of the images'
+# contrast at most if another one may leave less, and what that leaves of it at most.
+STEADY, QUIET, BETTER = 0.02, 0.12, 0.95
 # What a field from another start leaves of the variance of the images' difference, at most.
 CLEARER = 0.94
 # Part of the first weight with which coarse scales follow motions that turn within some of their
@@ -222,9 +222,12 @@ def steady(level: Level, u: Array, alpha: float) -> tuple[ImagePair, Improved] |
     is fitted locally takes it away. Even so it is that fit which has to leave less of the
     images: it favours the field that was found with it.
     """
+    before = level.pair.linearise(u)
+    if before.noise > QUIET * level.pair.I1.std():
+        return None
     pair = replace(level.pair, even=True)
     found = replace(level, pair=pair, coarse=u, decides=False).improve((alpha,), False)
-    before, after = (level.pair.linearise(f) for f in (u, found.u))
+    after = level.pair.linearise(found.u)
     return (pair, found) if after.noise < BETTER * before.noise else None
 
 
