@@ -66,14 +66,10 @@ def test_each_row_is_done_once_by_any_number_of_threads():
     def count(first, last, done):
         done[first:last] += 1
 
-    before = use_threads(1)
-    try:
-        for threads in (1, 2, 3, 8):
-            use_threads(threads)
-            for rows in (1, 5, 64):
-                for work in (1, SERIAL):
-                    done = np.zeros(rows)
-                    share(count, rows, work, done)
-                    assert (done == 1).all()
-    finally:
-        use_threads(before)
+    for threads in (1, 2, 3, 8):
+        use_threads(threads)
+        for rows in (1, 5, 64):
+            for work in (1, SERIAL):
+                done = np.zeros(rows)
+                share(count, rows, work, done)
+                assert (done == 1).all()

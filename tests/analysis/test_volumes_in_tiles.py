@@ -131,11 +131,8 @@ def test_paraview_gets_all_fields_of_tiles(made):
 def test_a_tile_has_the_same_bytes_for_any_number_of_threads(made, tmp_path):
     folder, *_ = made
     shutil.copytree(folder / "work", tmp_path / "work")
-    before = use_threads(1)
-    try:
-        tile(tmp_path / "work", 0, 5)
-    finally:
-        use_threads(before)
+    use_threads(1)
+    tile(tmp_path / "work", 0, 5)
     for kind in ("npy", "json"):
         name = f"work/tile_0_5.{kind}"
         assert (tmp_path / name).read_bytes() == (folder / name).read_bytes()

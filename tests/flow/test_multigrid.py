@@ -236,13 +236,10 @@ def test_smoother_is_bounded(shape, smoothness):
 )
 def test_same_bytes_with_any_number_of_threads(shape, precision, smoothness):
     F = problem(shape, smoothness, image="bubbles", precision=precision)
-    results, before = [], use_threads(1)
-    try:
-        for threads in (1, 2, 3):
-            use_threads(threads)
-            results.append(multigrid(F).tobytes())
-    finally:
-        use_threads(before)
+    results = []
+    for threads in (1, 2, 3):
+        use_threads(threads)
+        results.append(multigrid(F).tobytes())
     assert results[0] == results[1] == results[2]
 
 

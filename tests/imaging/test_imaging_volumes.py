@@ -241,19 +241,16 @@ def test_same_bytes_with_any_number_of_threads():
     centres, weights = rng.uniform(0, 60, (3, 200)), rng.normal(size=(1, 200))
     axes = [np.arange(float(n)) for n in shape[::-1]]
     around = rng.random(shape) < 0.9
-    results, before = [], use_threads(1)
-    try:
-        for threads in (1, 2, 3):
-            use_threads(threads)
-            arrays = [gaussians(axes, centres, 2.0, weights), blur(I, 2.0)]
-            arrays += [Window(around, width).mean(I) for width in (4.0, 7.0)]
-            for odd in (False, True):
-                spline = Spline(I, odd)
-                arrays += [*spline.warp_with_gradient(u), *spline.warp(u), spline.gradient()]
-                arrays += [spline.resize((30, 70, 40)), spline.evaluate(40 * u)]
-            results.append([a.tobytes() for a in arrays])
-    finally:
-        use_threads(before)
+    results = []
+    for threads in (1, 2, 3):
+        use_threads(threads)
+        arrays = [gaussians(axes, centres, 2.0, weights), blur(I, 2.0)]
+        arrays += [Window(around, width).mean(I) for width in (4.0, 7.0)]
+        for odd in (False, True):
+            spline = Spline(I, odd)
+            arrays += [*spline.warp_with_gradient(u), *spline.warp(u), spline.gradient()]
+            arrays += [spline.resize((30, 70, 40)), spline.evaluate(40 * u)]
+        results.append([a.tobytes() for a in arrays])
     assert results[0] == results[1] == results[2]
 
 
