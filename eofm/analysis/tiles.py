@@ -124,7 +124,7 @@ def _solve_coarse(work: Work) -> tuple[float, ...]:
         better = problem.level(number, pair, u).improve(chosen, False)
         u, chosen = better.u, better.chosen
         if plan.estimation.robust and number == compared:
-            u = best_start(problem, number, pairs, u, 1.0)
+            u = best_start(problem, number, pairs, u)
     field = work.new(f"field_{plan.levels}", u.shape)
     field.write(tuple(slice(0, n) for n in u.shape), u)
     return chosen

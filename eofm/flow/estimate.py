@@ -1,7 +1,7 @@
 """The elastographic optical flow method: all five tests of the paper, and your images."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -129,21 +129,22 @@ def _estimate(I1: Array, I2: Array, settings: Estimation, known: Known, progress
     images = Images.of(I1, I2, settings, known)
     run = partial(_coarse_to_fine, known=known, left_out=left_out, progress=progress)
     found, shaded, turns = run(images, settings)
-    # Where a field is off by a period, its images have been said to show different things.
-    clearer = partial(ratio_left, I1, I2, known.dead_on(I1.shape))
-    if turns:
-        soft = partial(run, part=SOFT)
-        other = soft(images, settings)
-        if clearer(found.u, other.found.u) < CLEARER:
-            log.debug("motion turns within some samples of coarse scales: they were softer")
-            (found, shaded, _), run = other, soft
+
+    def clearer(way: Callable[..., Run]) -> Run | None:
+        """What another way finds, if it is clearly better."""
+        other = way(images, settings)
+        # Where a field is off by a period, its images have been said to show different things.
+        left = ratio_left(I1, I2, known.dead_on(I1.shape), found.u, other.found.u)
+        return other if left < CLEARER else None
+
+    if turns and (better := clearer(soft := partial(run, part=SOFT))):
+        log.debug("motion turns within some samples of coarse scales: they were softer")
+        (found, shaded, _), run = better, soft
     if settings.robust and images.oscillate:
         by_amplitude = run(images.amplitudes, settings).found
-        start = partial(run, start=by_amplitude.lengths)
-        other = start(images, settings)
-        if clearer(found.u, other.found.u) < CLEARER:
+        if better := clearer(start := partial(run, start=by_amplitude.lengths)):
             log.debug("the images oscillate: their amplitude's motion is the better start")
-            (found, shaded, _), run = other, start
+            (found, shaded, _), run = better, start
     if not shaded:
         return found
     local = run(images, settings.changed(local_window=COARSE)).found
@@ -185,7 +186,7 @@ def _coarse_to_fine(
     """
     shape = images.I1.shape
     ndim = len(shape)
-    problem = Problem.of(shape, settings, known)
+    problem = replace(Problem.of(shape, settings, known), part=part)
     pairs = images.pairs(problem.grids, settings, known)
     decides = settings.robust and settings.local_window is None
     first, u = (0, problem.u_bg) if start is None else (max(0, len(pairs) - FINEST), start)
@@ -196,11 +197,11 @@ def _coarse_to_fine(
     for number in tqdm(range(first, len(pairs)), "scales", disable=hidden):
         pair = pairs[number]
         level = problem.level(number, pair, u)
-        u, alpha, F, chosen, factor = level.improve(chosen, progress, part)
+        u, alpha, F, chosen, factor = level.improve(chosen, progress)
         if settings.robust and number == compared < len(pairs) - 1:
             turns = settings.alpha is None and part == 1 and misses(problem, number, pairs, u)
-            u = best_start(problem, number, pairs, u, part)
-            u = leave_out(problem, number, pairs, u, part) if ndim == 2 else u
+            u = best_start(problem, number, pairs, u)
+            u = leave_out(problem, number, pairs, u) if ndim == 2 else u
     shading = 0.0
     if decides:
         coarser = pairs[max(0, len(pairs) - FINEST)]
@@ -220,7 +221,8 @@ def steady(level: Level, u: Array, alpha: float) -> tuple[ImagePair, Improved] |
 
     What is left of the motion of large structures looks like a change of brightness, and one that
     is fitted locally takes it away. Even so it is that fit which has to leave less of the
-    images: it favours the field that was found with it.
+    images: it favours the field that was found with it. Where most of what is left is noise, no
+    field leaves less.
     """
     before = level.pair.linearise(u)
     if before.noise > QUIET * level.pair.I1.std():
@@ -237,17 +239,15 @@ def misses(problem: Problem, number: int, pairs: Sequence[ImagePair], u: Array) 
     Small weights follow noise, where a large one does not follow a motion that turns within some
     samples.
     """
-    soft = problem.u_bg
+    softer, soft = replace(problem, part=SOFT), problem.u_bg
     for coarser in range(number + 1):
-        soft = problem.level(coarser, pairs[coarser], soft).improve((), False, SOFT).u
+        soft = softer.level(coarser, pairs[coarser], soft).improve((), False).u
     pair = pairs[number]
     missed, left = (1 - correlation(pair.I1, pair.I2, v, pair.grid) for v in (u, soft))
     return left < FOLLOWED * missed
 
 
-def best_start(
-    problem: Problem, number: int, pairs: Sequence[ImagePair], u: Array, part: float
-) -> Array:
+def best_start(problem: Problem, number: int, pairs: Sequence[ImagePair], u: Array) -> Array:
     """That of ``u``, on a grid, and the field of matched blocks after which images correlate best.
 
     Blocks are matched on a grid that is fine enough for many of them.
@@ -258,15 +258,13 @@ def best_start(
     matched = match_blocks(I1, I2, fine.grid)
     if matched is None:
         return u
-    other = problem.level(number, pair, matched).improve((), False, part).u
+    other = problem.level(number, pair, matched).improve((), False).u
     before, after = (correlation(pair.I1, pair.I2, v, pair.grid) for v in (u, other))
     likely = len(problem.grids) > FINEST or after >= LIKELY
     return other if after > before and likely else u
 
 
-def leave_out(
-    problem: Problem, number: int, pairs: list[ImagePair], u: Array, part: float
-) -> Array:
+def leave_out(problem: Problem, number: int, pairs: list[ImagePair], u: Array) -> Array:
     """Mark what the images do not share as dead on this grid and on finer ones; the field without.
 
     The field that it has pulled hides a part of it, so it is looked for again. Near pixels that
@@ -281,6 +279,6 @@ def leave_out(
         for finer in range(number, len(pairs)):
             live = pairs[finer].live & ~resized(found, pairs[finer].grid.shape)
             pairs[finer] = replace(pairs[finer], live=live)
-        u = problem.level(number, pairs[number], u).improve((), False, part).u
-        u = best_start(problem, number, pairs, u, part)
+        u = problem.level(number, pairs[number], u).improve((), False).u
+        u = best_start(problem, number, pairs, u)
     return u

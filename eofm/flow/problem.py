@@ -49,6 +49,8 @@ class Problem:
         ``v`` on the edges of known motion.
     x, motion : ndarray, shape (ndim, M)
         Bubbles and their motion less that of the background.
+    part : float
+        Of the first weight, which coarse grids take.
     """
 
     settings: Estimation
@@ -57,6 +59,7 @@ class Problem:
     v_edges: dict[Edge, Array]
     x: Array
     motion: Array
+    part: float = 1.0
 
     @classmethod
     def of(cls, shape: tuple[int, ...], settings: Estimation, known: Known) -> Self:
@@ -168,11 +171,10 @@ class Level:
         F = Quadratic(self.pair.grid, terms, alpha, self.free, self.problem.settings.smoothness)
         return F.shifted(self.prescribed)
 
-    def improve(self, chosen: tuple[float, ...], progress: bool, part: float = 1.0) -> "Improved":
+    def improve(self, chosen: tuple[float, ...], progress: bool) -> "Improved":
         """Return a better displacement, in true lengths.
 
-        ``chosen`` are the weights that coarser grids have chosen; until there is one, it is a
-        ``part`` of the first one that is tried.
+        ``chosen`` are the weights that coarser grids have chosen.
         """
         settings, F = self.problem.settings, cast(Quadratic, None)
         factor: Array | None = None
@@ -185,7 +187,7 @@ class Level:
             del F  # what is not needed any more makes room: of volumes it is the half
             match = self._linearised(u, self.still and warp == 0, warp >= near)
             first = chosen[-1] if chosen else first_alpha(match)
-            alpha = weight or (first if chosen else part * first)
+            alpha = weight or (first if chosen else self.problem.part * first)
             if self.decides and warp == near:
                 if self.pair.robust and self.pair.grid.ndim == 2:
                     factor = ease(u - self.base, self.pair.grid, (match.g**2).sum(0) * match.used)
