@@ -61,6 +61,7 @@ sphinx_gallery_conf = {
     "show_signature": False,
     "show_memory": False,
     "plot_gallery": "True",
+    "parallel": 2,
     "download_all_examples": False,
     "nested_sections": False,
     "min_reported_time": 3600,

@@ -171,6 +171,9 @@ class Studies(Section):
     values: int | None = Field(
         None, ge=1, description="largest number of values along each axis; none: all"
     )
+    cases: int | None = Field(
+        None, ge=1, description="largest number of cases of each study; none: all"
+    )
     searches: int = Field(3, ge=1, le=100, description="searches for the phantom, from anywhere")
     evaluations: int = Field(
         100, ge=10, le=1_000_000, description="phantoms that each of them tries, about"

@@ -51,6 +51,7 @@ rule study_part:
         table=lambda wildcards: STUDY_TABLES[wildcards.study],
         parts=lambda wildcards: STUDY_PARTS[wildcards.study],
         values=settings.studies.values,
+        cases=settings.studies.cases,
         config=EXPERIMENT,
     script:
         "../scripts/study_part.py"

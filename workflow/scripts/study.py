@@ -44,20 +44,20 @@ class Given(Section):
 
 
 def cases(
-    blocks: Iterable[dict[str, Any]], most: int | None = None
+    blocks: Iterable[dict[str, Any]], values: int | None = None, most: int | None = None
 ) -> list[tuple[Changes, Changes]]:
-    """Labels and changes of all cases, with ``most`` values along each axis."""
+    """Labels and changes of the first cases, with some ``values`` along each axis."""
     found = []
     for block in blocks:
         fixed = {name: value for name, value in block.items() if name not in ("axes", "changes")}
-        axes = [list(islice(_values(*axis), most)) for axis in block["axes"].items()]
+        axes = [list(islice(_values(*axis), values)) for axis in block["axes"].items()]
         for chosen in product(*axes):
             labels, changes = dict(fixed), dict(block.get("changes", {}))
             for label, change in chosen:
                 labels |= label
                 changes |= change
             found.append((labels, changes))
-    return found
+    return found[:most]
 
 
 def _values(name: str, values: Any) -> list[tuple[Changes, Changes]]:

@@ -12,7 +12,7 @@ from eofm.compiled import use_threads
 
 use_threads(snakemake.threads)
 table, config = snakemake.params.table, Config(**snakemake.params.config)
-found = cases(table["cases"], snakemake.params.values)
+found = cases(table["cases"], snakemake.params.values, snakemake.params.cases)
 part, parts = int(snakemake.wildcards.part), snakemake.params.parts
 # In a row, so that cases with the same sample share its fields.
 some = found[len(found) * part // parts : len(found) * (part + 1) // parts]
