@@ -14,6 +14,9 @@ FLAT, NEXT, BESIDE = 0.35, 4, 0.7
 # Part of the pixels beside a sector that may have its value in one image only; and values at the
 # edges that are looked at.
 CHANGED, VALUES = 0.25, 4
+# So many pixels are beside a sector, for each that it has at the edges, at most: a sample of one
+# piece is within it. What is between dots of a sample, which may hardly move, has many more.
+LONG = 3.0
 # Labels are nearly as bright or as dark as anything, in so many pixels. The images differ there,
 # for their gradients, by so much of what they do elsewhere; gradients of both are nearly as large,
 # and steeper than elsewhere; and they cover so much at most.
@@ -97,7 +100,8 @@ def _sectors(I1: Array, I2: Array) -> Mask:
         touching = np.maximum(np.bincount(beside.ravel(), minlength=count + 1), 1)
         jump = np.bincount(beside.ravel(), off.ravel(), count + 1) / touching
         changes = np.bincount(beside[changed], minlength=count + 1) / touching
-        kept = np.bincount(label[rim], minlength=count + 1) >= LEAST
+        edge = np.bincount(label[rim], minlength=count + 1)
+        kept = (edge >= LEAST) & (touching <= LONG * edge)
         kept &= (jump > ABRUPT * off[~alike].mean()) & (changes <= CHANGED)
         kept[0] = False
         found |= kept[label]

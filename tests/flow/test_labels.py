@@ -80,6 +80,27 @@ def test_nothing_is_printed_on_a_sample_that_moves_or_stays(levels, size):
         assert found.printed.mean() < 0.02
 
 
+def test_black_between_dots_that_move_in_one_place_is_no_frame(rng):
+    """It is of one value in both images, reaches the edges, and ends where dots begin."""
+    u = np.zeros((2, *SHAPE))
+    u[1] = -2.5 * np.exp(-((X1 - 50) ** 2 + (X2 - 45) ** 2) / (2 * 9.0**2))
+    centres = rng.uniform(-4, [116, 100], (400, 2))
+    bright, radius = rng.uniform(0.2, 1, 400), rng.uniform(1.5, 4, 400)
+
+    def dots(x1, x2):
+        distance = np.hypot(x1[..., None] - centres[:, 0], x2[..., None] - centres[:, 1])
+        return (bright * np.clip(radius - distance + 0.5, 0, 1)).max(-1)
+
+    x2 = X2.astype(float)
+    for _ in range(60):
+        x2 = X2 + 2.5 * np.exp(-((X1 - 50) ** 2 + (x2 - 45) ** 2) / (2 * 9.0**2))
+    I1, I2 = dots(X1, X2), dots(X1, x2)
+    assert 0.3 < ((I1 == 0) & (I2 == 0)).mean() < 0.8
+    found = eofm.estimate_displacement(I1, I2)
+    assert found.printed.mean() < 0.02
+    assert np.hypot(*(found.u - u)).mean() < 0.03
+
+
 def test_frames_have_the_size_that_they_have():
     I1, I2 = map(framed, speckle(U))
     grown = np.ones(SHAPE, dtype=bool)
