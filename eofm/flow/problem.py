@@ -14,7 +14,7 @@ from eofm.flow.multigrid import multigrid
 from eofm.flow.pair import ImagePair
 from eofm.flow.pyramid import pyramid, solving
 from eofm.flow.roughness import ease
-from eofm.flow.weight import choose_alpha, enough, first_alpha
+from eofm.flow.weight import choose_alpha, enough, first_alpha, reach
 from eofm.grid import (
     FACES,
     Array,
@@ -190,7 +190,8 @@ class Level:
             alpha = weight or (first if chosen else self.problem.part * first)
             if self.decides and warp == near:
                 if self.pair.robust and self.pair.grid.ndim == 2:
-                    factor = ease(u - self.base, self.pair.grid, (match.g**2).sum(0) * match.used)
+                    seen = (match.g**2).sum(0) * match.used
+                    factor = ease(u - self.base, self.pair.grid, seen, reach(match, first))
                 choice = choose_alpha(
                     match, self.base, self.prescribed, self.free, first, chosen, factor
                 )

@@ -14,10 +14,13 @@ from eofm.imaging.gaussian import blur
 
 # Width over which roughness is averaged, samples; roughness, as a part of its median, that is
 # added to all, for noise is rough as well; least one, 1/px; largest ratio of two weights.
-WIDTH, MEDIANS, LEAST, LARGEST = 8.0, 3.0, 1e-6, 1e3
+WIDTH, MEDIANS, LEAST, LARGEST = 8.0, 1.0, 1e-6, 1e3
+# Noise in a field is as rough as motion, but within what a weight smooths over: a Gaussian that is
+# so many times as wide, and so wide at most, samples, takes it away.
+SMOOTHED, WIDEST = 2.0, 8.0
 
 
-def ease(v: Array, grid: Grid, seen: Array) -> Array:
+def ease(v: Array, grid: Grid, seen: Array, reach: float) -> Array:
     """How much less than elsewhere a field is to be smoothed at each pixel, of the grid's shape.
 
     All terms but R are multiplied by it, which is as if R were divided by it, but for
@@ -30,13 +33,15 @@ def ease(v: Array, grid: Grid, seen: Array) -> Array:
     grid : Grid
     seen : ndarray, of the grid's shape
         Squared gradient of the images, 0 where there are no data.
+    reach : float
+        Samples over which the weight has smoothed v.
 
     Returns
     -------
     ndarray
         Its mean is 1 where motion is rough, weighed by what roughness the images show.
     """
-    rough = blur(squared_bending(v, grid), (WIDTH,) * grid.ndim)
+    rough = blur(squared_bending(v, grid, min(SMOOTHED * reach, WIDEST)), WIDTH)
     base = MEDIANS * np.median(rough) + LEAST**2
     factor = np.minimum(base + rough, LARGEST * (base + rough.min()))
     shown = rough * seen
@@ -44,8 +49,11 @@ def ease(v: Array, grid: Grid, seen: Array) -> Array:
     return factor * (total / (factor * shown).sum()) if total > 0 else np.ones_like(factor)
 
 
-def squared_bending(v: Array, grid: Grid) -> Array:
-    """``sum_ij |d_ij v|^2`` at each pixel, by central differences."""
+def squared_bending(v: Array, grid: Grid, width: float) -> Array:
+    """``sum_ij |d_ij v|^2`` of a Gaussian average at each pixel, by central differences.
+
+    Derivatives are averaged, for those of affine motions are 0 at the edges as well.
+    """
     total = np.zeros_like(v[0])
     axes = range(grid.ndim)
     for f in v:
@@ -53,5 +61,5 @@ def squared_bending(v: Array, grid: Grid) -> Array:
             first = np.gradient(f, grid.spacing[grid.ndim - 1 - i], axis=i)
             for j in axes[i:]:
                 second = np.gradient(first, grid.spacing[grid.ndim - 1 - j], axis=j)
-                total += (1 if i == j else 2) * second**2
+                total += (1 if i == j else 2) * blur(second, width) ** 2
     return total

@@ -75,6 +75,11 @@ def first_alpha(match: Match) -> float:
     return (match.strength + np.finfo(float).tiny) * reach**4
 
 
+def reach(match: Match, alpha: float) -> float:
+    """Samples over which a weight smooths: those of `first_alpha` are REACH."""
+    return float((alpha / (match.strength + TINY)) ** 0.25 / match.grid.side)
+
+
 def enough(shape: tuple[int, ...], finest: bool) -> bool:
     """Whether a scale has blocks enough to choose a weight."""
     return math.prod(shape) >= (FEWEST if finest else BLOCKS) * BLOCK ** len(shape)

@@ -12,6 +12,7 @@ from eofm.flow.pair import ImagePair
 from eofm.flow.roughness import ease, squared_bending
 from eofm.flow.weight import choose_alpha, drawn, first_alpha
 from eofm.grid import Grid
+from eofm.imaging.gaussian import blur
 from eofm.settings import Estimation, Phantom
 from eofm.simulation.phantom import make_phantom
 
@@ -190,15 +191,30 @@ def test_smoothing_is_eased_where_motion_is_rough():
 
 def test_ease_is_one_where_nothing_is_rough_and_follows_a_kink():
     grid, seen = Grid(SHAPE), np.ones(SHAPE)
-    assert (ease(np.zeros((2, *SHAPE)), grid, seen) == 1).all()
+    assert (ease(np.zeros((2, *SHAPE)), grid, seen, 4.0) == 1).all()
     x = np.arange(SHAPE[1]) - 28.0
     kink = np.broadcast_to(0.01 * np.abs(x), (2, *SHAPE))
-    factor = ease(kink, grid, seen)
+    factor = ease(kink, grid, seen, 1.0)
     assert (factor.argmax(1) == 28).all()
     assert 1 < factor.max() < 3
-    assert np.allclose(ease(5 * kink, grid, seen), factor, rtol=0.01)
+    assert np.allclose(ease(5 * kink, grid, seen, 1.0), factor, rtol=0.01)
     parabola = np.broadcast_to(0.01 * x**2, (2, *SHAPE))
-    assert np.allclose(squared_bending(parabola, grid)[:, 2:-2], 2 * 0.02**2)
+    assert np.allclose(squared_bending(parabola, grid, 0.5)[:, 5:-5], 2 * 0.02**2)
+
+
+def test_noise_that_a_weight_smooths_over_hides_no_bump(rng):
+    """And an affine motion is rough nowhere, not at the edges either."""
+    shape = (120, 160)
+    grid, seen = Grid(shape), np.ones(shape)
+    x2, x1 = np.mgrid[: shape[0], : shape[1]] - np.reshape((50.0, 90.0), (2, 1, 1))
+    noise = np.stack([blur(rng.normal(size=shape), 3.0) for _ in range(2)])
+    field = np.exp(-(x1**2 + x2**2) / 200) + 0.1 * noise / noise.std()
+    within = np.hypot(x1, x2) < 10
+    near, reached = (
+        f[within].mean() / f[~within].mean() for f in (ease(field, grid, seen, r) for r in (0.2, 3))
+    )
+    assert reached > 2 * near > 2
+    assert np.allclose(ease(np.stack([0.04 * x1, -0.02 * x2]), grid, seen, 4.0), 1)
 
 
 def test_a_factor_is_a_weight_that_varies_but_for_its_derivatives():
