@@ -71,8 +71,7 @@ def first_alpha(match: Match) -> float:
 
     It holds a structure of the ``REACH`` as firmly as the mean gradient of the images does.
     """
-    reach = REACH * match.grid.side
-    return (match.strength + np.finfo(float).tiny) * reach**4
+    return (match.strength + np.finfo(float).tiny) * (REACH * match.grid.side) ** 4
 
 
 def reach(match: Match, alpha: float) -> float:
