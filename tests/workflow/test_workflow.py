@@ -297,7 +297,7 @@ def test_benchmark_volume(project):
     assert list(table.columns) == columns.split()
     cases = table[table.tool == "eofm preset"].set_index("case")
     assert list(cases.index) == ["speckle", "affine", "noise", "sinusoid"]
-    assert cases["size"].tolist() == [24, 40, 40, 40]
+    assert cases["size"].tolist() == [24, 48, 48, 48]
     assert (cases.seconds > 0).all()
     assert (cases.rms_at_nodes_px[["affine", "sinusoid"]] < 0.005).all()
     assert cases.coverage.between(0, 1).all()
