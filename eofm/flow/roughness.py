@@ -12,9 +12,9 @@ import numpy as np
 from eofm.grid import Array, Grid
 from eofm.imaging.gaussian import blur
 
-# Width over which roughness is averaged, samples; roughness, as a part of its median, that is
-# added to all, for noise is rough as well; least one, 1/px; largest ratio of two weights.
-WIDTH, MEDIANS, LEAST, LARGEST = 8.0, 1.0, 1e-6, 1e3
+# Width over which roughness is averaged, samples; least roughness, 1/px; largest ratio of two
+# weights.
+WIDTH, LEAST, LARGEST = 8.0, 1e-6, 1e3
 # Noise in a field is as rough as motion, but within what a weight smooths over: a Gaussian that is
 # so many times as wide, and so wide at most, samples, takes it away.
 SMOOTHED, WIDEST = 2.0, 8.0
@@ -42,7 +42,7 @@ def ease(v: Array, grid: Grid, seen: Array, reach: float) -> Array:
         Its mean is 1 where motion is rough, weighed by what roughness the images show.
     """
     rough = blur(squared_bending(v, grid, min(SMOOTHED * reach, WIDEST)), WIDTH)
-    base = MEDIANS * np.median(rough) + LEAST**2
+    base = np.median(rough) + LEAST**2  # what noise is left is rough as well
     factor = np.minimum(base + rough, LARGEST * (base + rough.min()))
     shown = rough * seen
     total = shown.sum()

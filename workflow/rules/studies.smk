@@ -15,7 +15,7 @@ STUDIED = ["sample", "forward", "phantom", "tracking", "estimation", "tests", "p
 EXPERIMENT = settings.model_dump(include={*STUDIED, "identification"})
 # Jobs of a minute or so; what is cut short takes less.
 STUDY_PARTS = {
-    name: table["jobs"] if settings.studies.values is None else 1
+    name: 1 if settings.studies.values or settings.studies.cases else table["jobs"]
     for name, table in STUDY_TABLES.items()
 }
 STUDY_PARTS |= {"fits": settings.studies.searches, "theory": 1}
