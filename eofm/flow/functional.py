@@ -13,7 +13,7 @@ the trapezoidal rule in each cell: second order, and every term without derivati
 """
 
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import lru_cache, reduce
 from itertools import combinations_with_replacement
 from itertools import product as tuples
 from math import factorial, prod, sqrt
@@ -248,6 +248,7 @@ def smoothness_energy(grid: Grid, smoothness: str) -> sp.coo_array:
     return sum(reduce(sp.kron, [M.T @ M for M in P[::-1]]) for P in roots)
 
 
+@lru_cache(8)
 def smoothness_roots(grid: Grid, smoothness: str) -> Roots:
     """Factors of R: for each derivative a matrix along each component.
 
@@ -282,7 +283,7 @@ def _differences(grid: Grid, component: int, order: int) -> list[sp.csr_array]:
     """Matrices P_k along a component with ``|P_k u|^2 = int |u^(k)|^2`` for k up to an order."""
     n, h = grid.shape[grid.ndim - 1 - component], grid.spacing[component]
     D = sp.eye_array(n, format="csr")
-    matrices = [sp.diags_array(np.sqrt(grid.weights[component]))]
+    matrices = [sp.diags_array(np.sqrt(grid.weights[component]), format="csr")]
     for m in range(n - 1, n - 1 - order, -1):
         D = sp.diags_array([-np.ones(m), np.ones(m)], offsets=[0, 1], shape=(m, m + 1)) @ D / h
         matrices.append(np.sqrt(h) * D)

@@ -85,6 +85,7 @@ def multigrid(
     change: float = 0.0,
     max_iterations: int = 100,
     initial: Array | None = None,
+    levels: "Level | Coarsest | None" = None,
     report: Callable[[int, float], None] | None = None,
 ) -> Array:
     """Minimiser of F, shape (2, height, width), to a relative residual or a change.
@@ -102,6 +103,8 @@ def multigrid(
         Of the conjugate gradients.
     initial : ndarray, shape (2, height, width), optional
         Where to start, px, if its residual is smaller than that of 0.
+    levels : Level or Coarsest, optional
+        The :func:`hierarchy` of an F that differs in b only, where several are minimised.
     report : callable, optional
         Called with the number of iterations done and the relative residual, from 0 on.
 
@@ -113,7 +116,7 @@ def multigrid(
         If ``max_iterations`` reach neither ``tol`` nor ``change``.
     """
     loops, operator = LOOPS[F.grid.ndim], F.operator()
-    top = hierarchy(F)
+    top = levels or hierarchy(F)
     precision = operator.A.dtype
     r = _load(F, precision)
     size = loops.norm(r)

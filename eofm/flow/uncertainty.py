@@ -10,9 +10,10 @@ from functools import cached_property
 
 import numpy as np
 
+from eofm.flow.coarsest import Coarsest
 from eofm.flow.functional import Pointwise, Quadratic
 from eofm.flow.matching import Match
-from eofm.flow.multigrid import multigrid
+from eofm.flow.multigrid import Level, hierarchy, multigrid
 from eofm.grid import Array, precision
 from eofm.imaging.intensity import Window
 from eofm.imaging.sampling import weights
@@ -123,16 +124,22 @@ class Errors:
 
     def _rough(self, rng: np.random.Generator) -> Array:
         """Draw of the prior, whose precision is alpha over ``ease``, as F has it multiplied."""
-        rough = self.functional.rough(rng) / self.functional.grid.areas
+        rough = self.functional.rough(rng)
+        rough /= self.functional.grid.areas
         return rough if self.ease is None else rough * np.sqrt(self.ease)
 
     @cached_property
     def _force(self) -> Array:
         return self.functional.smoothed(self.v)
 
+    @cached_property
+    def _levels(self) -> Level | Coarsest:
+        return hierarchy(self.functional)
+
     def _solve(self, b: Array) -> Array:
         F = self.functional
-        return multigrid(replace(F, terms=Pointwise(F.terms.A, b)), tol=TOLERANCE)
+        F = replace(F, terms=Pointwise(F.terms.A, b))
+        return multigrid(F, tol=TOLERANCE, levels=self._levels)
 
 
 def smooth_noise(shape: tuple[int, ...], rng: np.random.Generator) -> Array:
