@@ -21,7 +21,7 @@ Reader = Callable[[str, str], Scan]
 TIFFS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
 
-def read_array(path: Path) -> Scan:
+def read_array(path: str | Path) -> Scan:
     """The array of a file, or the variable and page of it named after ``#``.
 
     Raises

@@ -22,7 +22,7 @@ COMPONENTS = ("u1 lateral", "u2 axial", "u3 elevational")
 logger = logging.getLogger("eofm")
 
 
-def read_scan(path: Path, ndim: int | None = None) -> Scan:
+def read_scan(path: str | Path, ndim: int | None = None) -> Scan:
     """Read a greyscale image, shape (height, width), or volume, (depth, height, width).
 
     Images are float64, volumes float32; of complex values it is the amplitude, which the log says.
@@ -31,7 +31,7 @@ def read_scan(path: Path, ndim: int | None = None) -> Scan:
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
     ndim : int, optional
         Number of axes wanted; None takes what there is.
 
@@ -51,7 +51,7 @@ def read_scan(path: Path, ndim: int | None = None) -> Scan:
     return Scan(check_finite(path, values, values.ndim), scan.axes, scan.sizes)
 
 
-def one_image(path: Path, scan: Scan, ndim: int | None = None) -> Scan:
+def one_image(path: str | Path, scan: Scan, ndim: int | None = None) -> Scan:
     """The same without axes along which there is nothing, if it is one image or volume."""
     axes, values = scan.axes, scan.values
     if values.ndim < 2:
@@ -82,12 +82,12 @@ def one_image(path: Path, scan: Scan, ndim: int | None = None) -> Scan:
     return Scan(values, axes, scan.sizes)
 
 
-def read_image(path: Path, ndim: int | None = None) -> Array:
+def read_image(path: str | Path, ndim: int | None = None) -> Array:
     """Read the values of an image or volume, see `read_scan`.
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
     ndim : int, optional
         Number of axes wanted; None takes what there is.
 
@@ -98,12 +98,12 @@ def read_image(path: Path, ndim: int | None = None) -> Array:
     return read_scan(path, ndim).values
 
 
-def read_stack(path: Path) -> Scan:
+def read_stack(path: str | Path) -> Scan:
     """Read a sequence of greyscale frames, shape (frames, height, width), float64.
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
 
     Raises
     ------
@@ -120,12 +120,14 @@ def read_stack(path: Path) -> Scan:
     return Scan(check_finite(path, amplitude(path, frames), 2), scan.axes, scan.sizes)
 
 
-def read_scans(reference: Path, deformed: Path, ndim: int | None = None) -> tuple[Scan, Scan]:
+def read_scans(
+    reference: str | Path, deformed: str | Path, ndim: int | None = None
+) -> tuple[Scan, Scan]:
     """Read two images or volumes, before and after compression, which must have one size.
 
     Parameters
     ----------
-    reference, deformed : Path
+    reference, deformed : str or Path
     ndim : int, optional
         Number of axes wanted; None takes what there is.
 
@@ -144,12 +146,14 @@ def read_scans(reference: Path, deformed: Path, ndim: int | None = None) -> tupl
     return first, second
 
 
-def read_pair(reference: Path, deformed: Path, ndim: int | None = None) -> tuple[Array, Array]:
+def read_pair(
+    reference: str | Path, deformed: str | Path, ndim: int | None = None
+) -> tuple[Array, Array]:
     """Read the values of two images or volumes of one size, see `read_scans`.
 
     Parameters
     ----------
-    reference, deformed : Path
+    reference, deformed : str or Path
     ndim : int, optional
         Number of axes wanted; None takes what there is.
 
@@ -161,12 +165,14 @@ def read_pair(reference: Path, deformed: Path, ndim: int | None = None) -> tuple
     return first.values, second.values
 
 
-def read_field(path: Path, shape: tuple[int, ...] | None = None, ndim: int | None = None) -> Array:
+def read_field(
+    path: str | Path, shape: tuple[int, ...] | None = None, ndim: int | None = None
+) -> Array:
     """Read a displacement field, px, shape (2, height, width) or (3, depth, height, width).
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
     shape : tuple of int, optional
         Shape of the images that it has to belong to.
     ndim : int, optional
@@ -201,12 +207,12 @@ def read_field(path: Path, shape: tuple[int, ...] | None = None, ndim: int | Non
     return check_finite(path, u, u.ndim - 1)
 
 
-def write_image(path: Path, I: Array, sides: Sequence[float] | None = None) -> None:
+def write_image(path: str | Path, I: Array, sides: Sequence[float] | None = None) -> None:
     """Write an image or volume as float32 ImageJ TIFF.
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
     I : ndarray, shape (height, width) or (depth, height, width)
     sides : sequence, optional
         Sides of a pixel, um, lateral first.
@@ -215,7 +221,7 @@ def write_image(path: Path, I: Array, sides: Sequence[float] | None = None) -> N
 
 
 def write_field(
-    path: Path,
+    path: str | Path,
     u: Array,
     unit: str = "px",
     sides: Sequence[float] | None = None,
@@ -225,7 +231,7 @@ def write_field(
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
     u : ndarray, shape (ndim, ...)
     unit : str
         Its unit, for the labels.
@@ -239,13 +245,13 @@ def write_field(
 
 
 def write_pages(
-    path: Path, pages: Array, labels: list[str], sides: Sequence[float] | None = None
+    path: str | Path, pages: Array, labels: list[str], sides: Sequence[float] | None = None
 ) -> None:
     """Write labelled images or volumes as float32 ImageJ TIFF; channels to Fiji.
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
     pages : ndarray, shape (n, ...)
     labels : list of str
         What each of them is.
@@ -255,7 +261,7 @@ def write_pages(
     write_tiff(path, np.moveaxis(pages, 0, -3), labels, sides)
 
 
-def amplitude(path: Path, values: NDArray) -> NDArray:
+def amplitude(path: str | Path, values: NDArray) -> NDArray:
     """The amplitude of complex values, and the log says so; others as they are."""
     if not np.iscomplexobj(values):
         return values
@@ -263,7 +269,7 @@ def amplitude(path: Path, values: NDArray) -> NDArray:
     return np.abs(values)
 
 
-def check_finite(path: Path, values: NDArray, ndim: int) -> Array:
+def check_finite(path: str | Path, values: NDArray, ndim: int) -> Array:
     """The values as numbers to compute with: 8 bytes in images, 4 in volumes."""
     if values.size == 0:
         raise InputError(f"{path}: holds no values (shape {values.shape})")
@@ -283,13 +289,13 @@ def check_finite(path: Path, values: NDArray, ndim: int) -> Array:
     )
 
 
-def _check_not_small(path: Path, I: NDArray) -> None:
+def _check_not_small(path: str | Path, I: NDArray) -> None:
     if min(I.shape) < SMALLEST:
         least = " x ".join([str(SMALLEST)] * I.ndim)
         raise InputError(f"{path}: has {_size(I)}; at least {least} are needed")
 
 
-def _one_colour(path: Path, scan: Scan) -> Scan:
+def _one_colour(path: str | Path, scan: Scan) -> Scan:
     """The one channel of greyscale that was saved in colours."""
     if not scan.axes.endswith("S"):
         return scan

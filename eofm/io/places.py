@@ -36,8 +36,8 @@ DAY = 86400
 ENDING = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
-def check_place(path: Path, format: str | None = None) -> None:
-    """Refuse a file to write that could not be, or should not be, replaced.
+def check_place(path: str | Path, format: str | None = None) -> Path:
+    """The path of a file to write; one that could not be, or should not be, replaced is refused.
 
     Raises
     ------
@@ -45,6 +45,7 @@ def check_place(path: Path, format: str | None = None) -> None:
         If it is a folder, a device or write-protected, its folder does not exist or cannot be
         written to, or its name ends like that of another format.
     """
+    path = Path(path)
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file in it")
     folder = path.resolve().parent
@@ -64,15 +65,16 @@ def check_place(path: Path, format: str | None = None) -> None:
             raise InputError(f"{path}: is write-protected; name another file to write")
     if not os.access(folder, os.W_OK | os.X_OK):
         raise InputError(f"{path}: nothing can be written to the folder {folder}")
+    return path
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def replacing(path: str | Path) -> Iterator[Path]:
     """A temporary file that takes the place of ``path`` once it is complete.
 
     A symbolic link stays, and the file that it leads to is replaced.
     """
-    check_place(path)
+    path = check_place(path)
     place = path.resolve()
     clear(place.parent)
     temporary, waits = None, False

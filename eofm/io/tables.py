@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 BUBBLE_COLUMNS = ("x1", "x2", "u1", "u2")
 
 
-def read_bubbles(path: Path) -> "pd.DataFrame":
+def read_bubbles(path: str | Path) -> "pd.DataFrame":
     """Read a table of bubbles with at least the columns x1, x2, u1, u2, px.
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
         CSV.
 
     Raises
@@ -37,12 +37,12 @@ def read_bubbles(path: Path) -> "pd.DataFrame":
     return read_columns(path, BUBBLE_COLUMNS)
 
 
-def read_columns(path: Path, columns: tuple[str, ...]) -> "pd.DataFrame":
+def read_columns(path: str | Path, columns: tuple[str, ...]) -> "pd.DataFrame":
     """Read a CSV table that has at least some columns of numbers.
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
     columns : tuple of str
 
     Raises
@@ -53,6 +53,7 @@ def read_columns(path: Path, columns: tuple[str, ...]) -> "pd.DataFrame":
     """
     import pandas as pd  # takes a quarter of a second that images alone do not need
 
+    path = Path(path)
     check_is_file(str(path), "a CSV table")
     check_size(str(path), [os.path.getsize(path)], 1)
     _check_unchanged(path)
@@ -92,15 +93,15 @@ def _number(cell: Any) -> float:
         return math.nan
 
 
-def write_table(path: Path, table: "pd.DataFrame") -> None:
+def write_table(path: str | Path, table: "pd.DataFrame") -> None:
     """Write a table as CSV, with six decimals, and its checksum beside it.
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
     table : DataFrame
     """
-    check_place(path, "CSV")
+    path = check_place(path, "CSV")
     origin.check_not_read(path)
     # Between the two there is no checksum rather than a wrong one.
     beside = _beside(path)
@@ -126,18 +127,19 @@ def _check_unchanged(path: Path) -> None:
         )
 
 
-def read_settings(path: Path) -> dict[str, Any]:
+def read_settings(path: str | Path) -> dict[str, Any]:
     """Read a YAML file of names and values.
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
 
     Raises
     ------
     InputError
         If the file is missing or holds something else.
     """
+    path = Path(path)
     check_is_file(str(path), "YAML")
     if os.path.getsize(path) > LARGEST_TEXT:
         raise InputError(f"{path}: is too large for a file of settings")
@@ -155,12 +157,12 @@ def read_settings(path: Path) -> dict[str, Any]:
     return values
 
 
-def write_json(path: Path, values: dict[str, Any]) -> None:
+def write_json(path: str | Path, values: dict[str, Any]) -> None:
     """Write a summary, indented.
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
     values : dict
         What JSON can hold.
     """

@@ -119,7 +119,7 @@ def _opened(name: str) -> Iterator[tuple[Any, Any]]:
 
 
 def write_tiff(
-    path: Path,
+    path: str | Path,
     pages: NDArray,
     labels: list[str] | None = None,
     sides: Sequence[float] | None = None,
@@ -134,7 +134,7 @@ def write_tiff(
     pages : ndarray
         Shape ([depth,] height, width), with ``labels`` ([depth,] channels, height, width).
     """
-    check_place(path, "TIFF")
+    path = check_place(path, "TIFF")
     origin.check_not_read(path)
     pages = np.ascontiguousarray(pages, np.float32)
     metadata, resolution = _said(_digest(pages), pages.shape, labels, sides)
@@ -143,7 +143,7 @@ def write_tiff(
 
 
 def write_slices(
-    path: Path,
+    path: str | Path,
     slices: Iterable[NDArray],
     shape: tuple[int, ...],
     labels: list[str] | None = None,
@@ -153,7 +153,7 @@ def write_slices(
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
     slices : iterable of ndarray
         Of shape (height, width), with ``labels`` (channels, height, width).
     shape : tuple of int
@@ -164,7 +164,7 @@ def write_slices(
     sides : sequence, optional
         Sides of a voxel, um, lateral first.
     """
-    check_place(path, "TIFF")
+    path = check_place(path, "TIFF")
     origin.check_not_read(path)
     digest = _hash(np.dtype(np.float32), shape)
     unknown = "0" * (2 * digest.digest_size)

@@ -20,7 +20,7 @@ COUNT = 8
 
 
 def write_vti(
-    path: Path,
+    path: str | Path,
     arrays: Mapping[str, NDArray],
     sides: Sequence[float],
     components: Mapping[str, Sequence[str]] | None = None,
@@ -32,7 +32,7 @@ def write_vti(
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
     arrays : mapping of ndarray, shape ([n,] [depth,] height, width)
         Numbers or n numbers for each pixel, by what ParaView is to call them.
     sides : sequence
@@ -54,7 +54,7 @@ def write_vti(
 
 
 def write_vti_slices(
-    path: Path,
+    path: str | Path,
     fields: Mapping[str, tuple[int, Iterable[NDArray]]],
     shape: tuple[int, ...],
     sides: Sequence[float],
@@ -64,7 +64,7 @@ def write_vti_slices(
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
     fields : mapping of (int, iterable of ndarray)
         How many numbers each pixel has, and slices of them, of shape ([n,] height, width) each, of
         an image rows of shape (n, width).
@@ -73,7 +73,7 @@ def write_vti_slices(
     sides, components
         As of `write_vti`.
     """
-    check_place(path, "VTI")
+    path = check_place(path, "VTI")
     origin.check_not_read(path)
     counts = {name: count for name, (count, _) in fields.items()}
     with replacing(path) as temporary, temporary.open("wb") as file:

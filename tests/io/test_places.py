@@ -6,6 +6,7 @@ import stat
 import threading
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from eofm import io
@@ -105,3 +106,18 @@ def test_a_full_disk_names_the_file(tmp_path, monkeypatch):
     with pytest.raises(OSError, match=r"u.tif: cannot be written \(No space left"):
         io.write_image(tmp_path / "u.tif", np.eye(4))
     assert not list(tmp_path.iterdir())
+
+
+def test_files_may_be_named_by_words(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    I, u = np.arange(600.0).reshape(20, 30) / 600, np.zeros((2, 20, 30))
+    io.write_image("image.tif", I)
+    io.write_field("field.tif", u)
+    io.write_table("table.csv", pd.DataFrame({"a": [1.0]}))
+    io.write_json("settings.json", {"a": 1})
+    io.write_vti("grid.vti", {"u": u}, (1.0, 1.0))
+    np.testing.assert_allclose(io.read_image("image.tif"), I, atol=1e-6)
+    np.testing.assert_array_equal(io.read_field("field.tif"), u)
+    assert io.read_columns("table.csv", ("a",)).a.tolist() == [1.0]
+    assert io.read_settings("settings.json") == {"a": 1}
+    assert sorted(p.name for p in tmp_path.glob("*.vti")) == ["grid.vti"]
