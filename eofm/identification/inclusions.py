@@ -8,7 +8,7 @@ element: a prior of total variation takes off contrast and spreads outlines over
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import block_diag, cho_factor, cho_solve
 
 from eofm.elasticity.sensitivity import Elastic, State
 from eofm.grid import Array
@@ -35,7 +35,7 @@ PRIOR = np.r_[np.zeros(3), CONTRAST**-2.0, np.tile(SPREADS**-2.0, 2)]
 LONG = 0.5
 # Part of the least gain at which fits of so few numbers stop: they creep along valleys.
 FEW = 0.02
-# Numbers by which is differentiated at a time.
+# Changes of z that go together through the mesh.
 TOGETHER = 16
 # Largest change of m and of a log radius in one step.
 STEP = 0.7
@@ -147,10 +147,10 @@ class Outlined:
         z[self.problem.elements :] += d[p.size :]
         return moved.outlined(self.problem, z)
 
-    def change(self, d: Array) -> Array:
-        """Change of ``z`` to first order."""
-        n = len(self.by)
-        return np.r_[d[:n] @ self.by, d[n:]]
+    @property
+    def changes(self) -> Array:
+        """Change of ``z`` with each of the numbers."""
+        return block_diag(self.by, np.eye(self.edges))
 
     def more(self, places: int) -> list["Outlined"]:
         """The same with one more inclusion, in ways that promise to take most off the misfit.
@@ -167,18 +167,15 @@ class Outlined:
         lengths = [k * h for k, h in zip(shape, sides, strict=True)]
         radius = DISC * np.sqrt(lengths[0] * lengths[1])
         x = [np.arange(radius / 2, length, radius) for length in lengths]
-        found = []
-        for middle in np.stack(np.meshgrid(*x), axis=-1).reshape(-1, 2):
-            disc = np.r_[middle, np.log(radius), 1.0, np.zeros(SIZE - 4)]
-            ((m, _),) = replace(self.inclusions, p=disc[None]).parts
-            d = np.r_[m, np.zeros(self.edges)]
-            slope = float(d @ right)
-            seen = problem.seen(problem.forth(self.z, state, d))
-            curvature = float((seen**2).sum()) + CONTRAST**-2
-            disc[3] = np.clip(slope / curvature, -STEP, STEP)
-            found.append((slope**2 / curvature, disc))
+        middles = np.stack(np.meshgrid(*x), axis=-1).reshape(-1, 2)
+        discs = np.zeros((len(middles), SIZE))
+        discs[:, :2], discs[:, 2], discs[:, 3] = middles, np.log(radius), 1.0
+        d = np.stack([m for m, _ in replace(self.inclusions, p=discs).parts])
+        d = np.pad(d, [(0, 0), (0, self.edges)])
+        slopes, curvatures = d @ right, (self._seen(state, d) ** 2).sum(1) + CONTRAST**-2
+        discs[:, 3] = np.clip(slopes / curvatures, -STEP, STEP)
         kept: list[Array] = []
-        for _, disc in sorted(found, key=lambda pair: -pair[0]):
+        for disc in discs[np.argsort(-(slopes**2) / curvatures, kind="stable")]:
             apart = (np.hypot(*(disc[:2] - other[:2])) > 1.5 * radius for other in kept)
             if len(kept) < places and all(apart):
                 kept.append(disc)
@@ -187,14 +184,17 @@ class Outlined:
 
     def derivative(self, state: State) -> Array:
         """Of what is left of the images by each number, shape (numbers, pixels)."""
-        problem, size = self.problem, self.prior.size
-        G = np.empty((size, problem.r.size))
-        for first in range(0, size, TOGETHER):
+        return self._seen(state, self.changes)
+
+    def _seen(self, state: State, d: Array) -> Array:
+        """Changes of what is left of the images for changes of ``z``, shape (len(d), pixels)."""
+        problem = self.problem
+        seen = np.empty((len(d), problem.r.size))
+        for first in range(0, len(d), TOGETHER):
             some = slice(first, first + TOGETHER)
-            d = np.stack([self.change(d) for d in np.eye(size)[some]])
-            seen = problem.seen(problem.forth(self.z, state, d))
-            G[some] = seen.reshape(len(seen), -1)
-        return G
+            u = problem.forth(self.z, state, d[some])
+            seen[some] = problem.seen(u).reshape(len(u), -1)
+        return seen
 
     def cost(self, state: State) -> float:
         """Value of the functional."""

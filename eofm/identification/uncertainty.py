@@ -103,10 +103,11 @@ class Errors:
         G, left = found.derivative(state), found.problem.left(state)
         H = G @ G.T + np.diag(found.prior)
         factor = cho_factor(H + 1e-9 * np.diag(H).max() * np.eye(len(H)))
+        changes = found.changes
         for _ in range(samples):
             right = G @ (random_signs(left.shape, rng) * left).ravel()
             right += np.sqrt(found.prior) * rng.standard_normal(len(H))
-            yield found.change(cho_solve(factor, right))
+            yield cho_solve(factor, right) @ changes
 
     @cached_property
     def _folds(self) -> Array:
