@@ -12,6 +12,7 @@ the trapezoidal rule in each cell: second order, and every term without derivati
 ``u`` becomes one symmetric 2 x 2 matrix per pixel.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, reduce
 from itertools import combinations_with_replacement
@@ -208,9 +209,9 @@ class Quadratic:
 
     def smoothed(self, v: Array) -> Array:
         """What ``alpha R`` asks of a field: its density, of the shape of ``terms.b``."""
-        roots, force = smoothness_roots(self.grid, self.smoothness), np.empty_like(v)
+        squares, force = smoothness_squares(self.grid, self.smoothness), np.empty_like(v)
         for target, c in zip(force, v, strict=True):
-            smooth = sum(_apply(P, _apply(P, c), adjoint=True) for P in roots)
+            smooth = sum(_apply(Q, c) for Q in squares)
             np.multiply(self.alpha, smooth / self.grid.areas, out=target)
         return force
 
@@ -230,7 +231,7 @@ class Quadratic:
         def draw() -> Array:
             shapes = ([M.shape[0] for M in P[::-1]] for P in roots)
             noise = (rng.standard_normal(shape).astype(dtype, copy=False) for shape in shapes)
-            parts = (_apply(P, z, adjoint=True) for P, z in zip(roots, noise, strict=True))
+            parts = (_apply([M.T for M in P], z) for P, z in zip(roots, noise, strict=True))
             return sqrt(self.alpha) * reduce(np.add, parts)
 
         return np.stack([draw() for _ in range(self.grid.ndim)])
@@ -244,8 +245,13 @@ class Quadratic:
 
 def smoothness_energy(grid: Grid, smoothness: str) -> sp.coo_array:
     """Matrix of R for scalar fields with natural boundaries."""
-    roots = smoothness_roots(grid, smoothness)
-    return sum(reduce(sp.kron, [M.T @ M for M in P[::-1]]) for P in roots)
+    return sum(reduce(sp.kron, Q[::-1]) for Q in smoothness_squares(grid, smoothness))
+
+
+@lru_cache(8)
+def smoothness_squares(grid: Grid, smoothness: str) -> Roots:
+    """Terms of R: for each derivative a matrix along each component, whose products they are."""
+    return [tuple((M.T @ M).tocsr() for M in P) for P in smoothness_roots(grid, smoothness)]
 
 
 @lru_cache(8)
@@ -267,14 +273,12 @@ def smoothness_roots(grid: Grid, smoothness: str) -> Roots:
     return roots
 
 
-def _apply(matrices: tuple[sp.csr_array, ...], f: Array, adjoint: bool = False) -> Array:
-    """Product of a scalar field with a matrix, or its transpose, along each component."""
+def _apply(matrices: Sequence[sp.sparray], f: Array) -> Array:
+    """Product of a scalar field with a matrix along each component."""
     for axis, matrix in enumerate(reversed(matrices)):
         M = matrix.astype(f.dtype, copy=False)
         lines = np.moveaxis(f, axis, 0)
-        lines = ((M.T if adjoint else M) @ lines.reshape(len(lines), -1)).reshape(
-            -1, *lines.shape[1:]
-        )
+        lines = (M @ lines.reshape(len(lines), -1)).reshape(-1, *lines.shape[1:])
         f = np.moveaxis(lines, 0, axis)
     return f
 

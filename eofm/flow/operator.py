@@ -3,6 +3,7 @@
 It is what :mod:`eofm.flow.stencils` and :mod:`eofm.flow.stencils3` multiply with.
 """
 
+from functools import lru_cache
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -46,6 +47,7 @@ def axis_table(n: int, h: float, alpha: float, bending: bool) -> Array:
     return X
 
 
+@lru_cache(64)
 def axis_tables(
     shape: tuple[int, ...], spacing: tuple[float, ...], alpha: float, bending: bool
 ) -> tuple[Array, ...]:
