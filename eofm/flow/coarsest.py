@@ -9,33 +9,53 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from eofm.flow.operator import Operator, Real, inner
+from eofm.flow.functional import pairs
+from eofm.flow.operator import Operator, Real, axis_tables, inner
+from eofm.grid import Array
 from eofm.threads import serial
 
 Indices = NDArray[np.intp]
 
 
+Product = Callable[..., Any]
+
+
 class Coarsest:
     """The Cholesky factor of K, a band matrix.
 
-    Its columns come from the products of K with combs, see `Comb`.
+    Parameters
+    ----------
+    operator : Operator
+    spacing : tuple of float
+    alpha : float
+    product : callable
+        Of the grid's dimension, see :func:`eofm.flow.stencils.product`.
+    precision : dtype
+        Of the field that is given back.
     """
 
     def __init__(
-        self, operator: Operator, product: Callable[..., Any], precision: DTypeLike = np.float64
+        self,
+        operator: Operator,
+        spacing: tuple[float, ...],
+        alpha: float,
+        product: Product,
+        precision: DTypeLike = np.float64,
     ) -> None:
-        free = operator.free
-        operator = operator.rounded(np.float64)
+        free, bending = operator.free, operator.bending
         self.axes, number = numbers(free.shape)
         self.x = np.zeros((free.ndim, *(n + 4 for n in free.shape)), precision)
-        field, q = np.zeros(self.x.shape), np.empty(number.shape)
-        nodes, band = inner(field), np.zeros(_band(free.shape, operator.bending))
-        for comb in combs(free.shape, operator.bending):
-            nodes[comb.teeth] = free[comb.teeth[1:]]
-            product(q, field, operator)
-            nodes[comb.teeth] = 0
-            band.ravel()[comb.places] = q.ravel()[comb.entries]
-        band[0, number[:, ~free]] = 1.0
+        # The pointwise term couples neighbours at most; where smoothness couples more, it has
+        # been looked at before.
+        flat = axis_tables(free.shape, spacing, 0.0, bending)
+        band = alpha * _smoothness(free.shape, spacing, bending, product)
+        if not free.all():
+            held = np.zeros(number.size, dtype=bool)
+            held[number[:, ~free]] = True
+            for k, diagonal in enumerate(band):
+                diagonal[held | np.roll(held, -k)] = 0
+            band[0, held] = 1.0
+        _add(band, operator.rounded(np.float64)._replace(axes=flat), product, 1)
         # The larger bands of volumes BLAS would share among threads, with other sums.
         factorise = cholesky_banded if free.ndim == 2 else serial(cholesky_banded)
         self.factor = factorise(band, lower=True, check_finite=False)
@@ -46,6 +66,31 @@ class Coarsest:
         solution = cho_solve_banded((self.factor, True), order.ravel(), check_finite=False)
         inner(self.x).transpose(self.axes)[...] = solution.reshape(order.shape)
         return self.x
+
+
+@lru_cache(16)
+def _smoothness(
+    shape: tuple[int, ...], spacing: tuple[float, ...], bending: bool, product: Product
+) -> Array:
+    """Band of the smoothness term of a grid with alpha = 1."""
+    A, G = np.zeros((len(pairs(len(shape))), *shape)), np.empty((0, *shape))
+    axes = axis_tables(shape, spacing, 1.0, bending)
+    band = np.zeros(_band(shape, bending))
+    K = Operator(A, G, np.ones(shape, dtype=np.bool_), axes, bending)
+    _add(band, K, product, _reach(bending))
+    return band
+
+
+def _add(band: Array, K: Operator, product: Product, reach: int) -> None:
+    """Add K, which couples nodes so far from each other, from its products with combs."""
+    _, number = numbers(K.shape)
+    field, q = np.zeros((len(number), *(n + 4 for n in K.shape))), np.empty(number.shape)
+    nodes = inner(field)
+    for comb in combs(K.shape, reach):
+        nodes[comb.teeth] = K.free[comb.teeth[1:]]
+        product(q, field, K)
+        nodes[comb.teeth] = 0
+        band.ravel()[comb.places] += q.ravel()[comb.entries]
 
 
 class Comb(NamedTuple):
@@ -65,10 +110,9 @@ class Comb(NamedTuple):
 
 
 @lru_cache(16)
-def combs(shape: tuple[int, ...], bending: bool) -> list[Comb]:
-    """Those that tell all of K, which the matrices of one shape have in common."""
+def combs(shape: tuple[int, ...], reach: int) -> list[Comb]:
+    """Those that tell all of an operator that couples nodes so far from each other."""
     _, number = numbers(shape)
-    reach = _reach(bending)
     step = 2 * reach + 1
     nodes = np.ogrid[*(slice(n) for n in shape)]
     found = []

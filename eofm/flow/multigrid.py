@@ -258,7 +258,8 @@ def hierarchy(F: Quadratic) -> Level | Coarsest:
         rounded = tuple(between.rounded(precision) for between in transfer)
         levels.append((operator.rounded(precision), rounded))
         operator = Operator(A, G, np.ones(shape, dtype=np.bool_), axes, operator.bending)
-    top: Level | Coarsest = Coarsest(operator, LOOPS[free.ndim].product, precision)
+    product = LOOPS[free.ndim].product
+    top: Level | Coarsest = Coarsest(operator, spacing, F.alpha, product, precision)
     for operator, transfer in reversed(levels):
         top = Level(operator, degree, visits, transfer, top)
     return top
