@@ -17,7 +17,7 @@ from eofm.flow.labels import labels
 from eofm.flow.pair import ImagePair
 from eofm.flow.problem import Improved, Level, Problem
 from eofm.flow.pyramid import largest_small
-from eofm.flow.start import correlation, details, match_blocks, ratio_left, unlike
+from eofm.flow.start import alike, correlation, details, match_blocks, ratio_left, unlike
 from eofm.flow.weight import around
 from eofm.grid import Array, Mask, componentwise, unit_spacing
 from eofm.imaging.intensity import normalise, normalise_locally
@@ -194,8 +194,9 @@ def _coarse_to_fine(
     hidden = None if progress else True
     # Of small images, it is the coarser one of two.
     compared = min(largest_small(problem.grids), max(len(pairs) - 1 - FINEST, 0))
+    all_live = [pair.live for pair in pairs]
     for number in tqdm(range(first, len(pairs)), "scales", disable=hidden):
-        pair = pairs[number]
+        pair = pairs[number] = look_again(problem, pairs[number], all_live[number], u)
         level = problem.level(number, pair, u)
         u, alpha, F, chosen, factor = level.improve(chosen, progress)
         if settings.robust and number == compared < len(pairs) - 1:
@@ -262,6 +263,18 @@ def best_start(problem: Problem, number: int, pairs: Sequence[ImagePair], u: Arr
     before, after = (correlation(pair.I1, pair.I2, v, pair.grid) for v in (u, other))
     likely = len(problem.grids) > FINEST or after >= LIKELY
     return other if after > before and likely else u
+
+
+def look_again(problem: Problem, pair: ImagePair, live: Mask, u: Array) -> ImagePair:
+    """Take back what a coarser grid has left out of the pixels that are ``live``, where it matches.
+
+    What the images do not share looks larger there, by some of its samples on each side.
+    """
+    doubted = live & ~pair.live
+    if not doubted.any():
+        return pair
+    u = problem.carried(u, pair.grid.shape)
+    return replace(pair, live=pair.live | (doubted & alike(pair.I1, pair.I2, u, pair.grid, live)))
 
 
 def leave_out(problem: Problem, number: int, pairs: list[ImagePair], u: Array) -> Array:

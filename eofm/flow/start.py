@@ -34,6 +34,8 @@ PATCH, FLAT, DETAIL, MOST = 3.0, 0.01, 2.0, 0.25
 # How much less than 1 their correlation is where they are likely, and certain, to show different
 # things: at least, and as a multiple of the median.
 UNLIKE, UNUSUAL = (0.2, 0.4), (4.0, 8.0)
+# How much less than 1 that is at most where they are sure to show the same.
+SURE = 0.3
 TINY = 1e-12
 
 
@@ -119,13 +121,17 @@ def unlike(I1: Array, I2: Array, u: Array, grid: Grid, live: Mask) -> Mask | Non
     """
     from scipy import ndimage
 
-    local, seen = _details(I1, I2, u, grid, live)
-    miss = 1 - local
-    usual = np.median(miss[seen]) if seen.any() else np.inf
-    label, _ = ndimage.label(seen & (miss > max(UNLIKE[0], UNUSUAL[0] * usual)))
-    sure = np.unique(label[miss > max(UNLIKE[1], UNUSUAL[1] * usual)])
+    miss, seen, (likely, certain) = _missed(I1, I2, u, grid, live)
+    label, _ = ndimage.label(seen & (miss > likely))
+    sure = np.unique(label[miss > certain])
     found = ndimage.binary_fill_holes(np.isin(label, sure[sure > 0]))
     return found if 0 < np.count_nonzero(found) <= MOST * found.size else None
+
+
+def alike(I1: Array, I2: Array, u: Array, grid: Grid, live: Mask) -> Mask:
+    """Where fine structures correlate after a displacement as they usually do."""
+    miss, seen, (likely, _) = _missed(I1, I2, u, grid, live)
+    return seen & (miss <= min(likely, SURE))
 
 
 def details(I1: Array, I2: Array, u: Array, grid: Grid, live: Mask) -> float:
@@ -165,6 +171,16 @@ def _rest(before: Array, after: Array) -> tuple[Array, float]:
     gain = float(before.std() / (after.std() + TINY))
     rest = before - gain * after
     return rest - rest.mean(), gain
+
+
+def _missed(
+    I1: Array, I2: Array, u: Array, grid: Grid, live: Mask
+) -> tuple[Array, Mask, tuple[float, float]]:
+    """How much less than 1 the correlation of details is, where, and what is much of that."""
+    local, seen = _details(I1, I2, u, grid, live)
+    miss = 1 - local
+    usual = float(np.median(miss[seen])) if seen.any() else np.inf
+    return miss, seen, (max(UNLIKE[0], UNUSUAL[0] * usual), max(UNLIKE[1], UNUSUAL[1] * usual))
 
 
 def _details(I1: Array, I2: Array, u: Array, grid: Grid, live: Mask) -> tuple[Array, Mask]:

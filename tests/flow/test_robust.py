@@ -155,6 +155,25 @@ def test_what_appears_pulls_nothing():
     assert error(I1, I2, u, robust=False) > 0.5
 
 
+@pytest.mark.parametrize("dark", [True, False])
+def test_what_appears_is_left_out_and_little_beside_it(rng, dark):
+    """A coarse scale sees it larger by some of its samples; fine ones take that back."""
+    u = motion((176, 176), 3.0)
+    I1, I2 = speckle(u)
+    x2, x1 = np.mgrid[:176, :176]
+    distance = np.hypot(x1 - 100, x2 - 80) - 14
+    I2 = np.where(distance > 0, I2, 0.0 if dark else 0.9)
+    I1, I2 = (I + 0.05 * I1.std() * rng.normal(size=I.shape) for I in (I1, I2))
+    found = eofm.estimate_displacement(I1, I2)
+    # Where the disc hides what I1 shows.
+    y = np.stack([x1, x2]) + u
+    distance = np.hypot(y[0] - 100, y[1] - 80) - 14
+    assert found.pair.live[distance < -3].mean() < 0.05
+    assert found.pair.live[distance > 6].mean() > 0.97
+    beside = (distance > 0) & (distance < 10)
+    assert np.hypot(*(found.u - u))[beside].mean() < 0.05
+
+
 def test_what_is_left_of_the_motion_of_large_structures_is_no_brightness(monkeypatch):
     u = motion((128, 128), 4.0)
     x = np.mgrid[:128, :128][::-1].astype(float)
