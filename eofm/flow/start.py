@@ -30,7 +30,7 @@ LEAST, FEWEST = 0.25, 6
 TIMES, ACCURACY, LARGEST = 3.0, 0.5, 4.0
 # Width over which parts of images are compared, samples, the least variance of one as a part of
 # the mean, and the largest part of an image that may be unlike the other one.
-PATCH, FLAT, DETAIL, MOST = 3.0, 0.01, 2.0, 0.25
+PATCH, FLAT, DETAIL, MOST = 3.0, 0.01, 2.0, 0.35
 # How much less than 1 their correlation is where they are likely, and certain, to show different
 # things: at least, and as a multiple of the median.
 UNLIKE, UNUSUAL = (0.2, 0.4), (4.0, 8.0)
