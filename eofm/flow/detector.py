@@ -11,9 +11,9 @@ from eofm.grid import Array, Mask
 from eofm.imaging.lines import Lines, lines, means_along, without
 from eofm.imaging.splines import Spline
 
-# Part of what lines change by at least, if they stay, that the images change by; and how much of
-# their own variance is enough of a change.
-OWN, SEEN = 0.75, 5e-4
+# Part of what lines change by, if they stay, that the images change by: at least if they do, and at
+# most if they move with the sample; and how much of their own variance is enough of a change.
+OWN, NONE, SEEN = 0.75, 0.4, 5e-4
 # What is left of images without lines that were theirs, at most.
 WITHOUT = 0.97
 
@@ -29,6 +29,9 @@ def without_lines(
     means = means_along(*images, dead)
     for single in (True, False):
         doubted = lines(means, single)
+        # What the field carries along is of the sample, even if lines have pulled the field.
+        shown = changes(*without(doubted, *images), dead, found.u, doubted)
+        doubted = tuple(line for line, part in zip(doubted, shown, strict=True) if not part < NONE)
         while doubted:
             told, cleaned = taken + doubted, without(doubted, *images)
             other = estimate(*cleaned)
@@ -49,23 +52,34 @@ def without_lines(
 def staying(
     I1: Array, I2: Array, dead: Mask, u: Array, doubted: tuple[Lines, ...]
 ) -> tuple[Lines, ...]:
-    """Lines that stay as they are, though a displacement, px, carries the images without them.
+    """Lines that stay as they are, though a displacement, px, carries the images without them."""
+    parts = changes(I1, I2, dead, u, doubted)
+    return tuple(line for line, part in zip(doubted, parts, strict=True) if part > OWN)
 
-    What the motion leaves of the images with them are then lines less lines that it has moved, and
-    nothing of that if they are layers of the sample.
+
+def changes(I1: Array, I2: Array, dead: Mask, u: Array, doubted: tuple[Lines, ...]) -> Array:
+    """Part of what lines would change by, if they stay, that images with them do change by.
+
+    What a displacement, px, leaves of images with lines that stay are these less themselves moved,
+    which is 1; of layers of the sample it leaves nothing. NaN where lines would hardly change.
+
+    Parameters
+    ----------
+    I1, I2 : ndarray
+        Images without the lines.
     """
     rest, used, gain = left(I1, I2, dead, u)
-    if not used.any():
-        return ()
-    changes = []
+    parts = np.full(len(doubted), np.nan)
+    if not used.any() or not doubted:
+        return parts
+    changed = []
     for line in doubted:
         moved, _ = Spline(np.broadcast_to(line.after, I2.shape)).warp(u)
         change = np.broadcast_to(line.before, I1.shape)[used] - gain * moved[used]
-        changes.append(change - change.mean())
-        rest += changes[-1]
-    variances = np.array([change @ change / change.size for change in changes])
+        changed.append(change - change.mean())
+        rest += changed[-1]
+    variances = np.array([change @ change / change.size for change in changed])
     seen = variances > SEEN * np.array([line.before.var() for line in doubted])
-    G = np.array([[f @ g for g in changes] for f in changes])
-    parts = np.linalg.lstsq(G, np.array([f @ rest for f in changes]))[0]
-    stay = seen & (parts > OWN)
-    return tuple(line for line, told in zip(doubted, stay, strict=True) if told)
+    G = np.array([[f @ g for g in changed] for f in changed])
+    own = np.linalg.lstsq(G, np.array([f @ rest for f in changed]))[0]
+    return np.where(seen, own, parts)

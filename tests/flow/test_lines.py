@@ -5,6 +5,7 @@ import pytest
 from test_robust import SHAPE, motion, speckle
 
 import eofm
+from eofm.flow.detector import without_lines
 from eofm.imaging.lines import lines, means_along, without
 
 U = motion(size=4.0) + 1.0
@@ -77,6 +78,29 @@ def test_layers_of_the_sample_are_no_lines(u1):
     off, found = error(J1, J2, u)
     assert found.lines == ()
     assert off < 0.03
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_what_the_field_carries_along_is_not_looked_at_twice(rng, moves):
+    x2 = np.arange(SHAPE[0], dtype=float)[:, None]
+    u = np.stack([np.full(SHAPE, 2.0), np.broadcast_to(0.7 + 0.01 * x2, SHAPE)])
+    k, phase = rng.normal(0, 0.3, (40, 1, 1)), rng.uniform(0, 2 * np.pi, (40, 1, 1))
+
+    def layers(x):
+        return 0.05 * np.cos(k * x + phase).sum(0)
+
+    I1, I2 = speckle(u)
+    J1, J2 = I1 + layers(x2 + u[1] if moves else x2), I2 + layers(x2)
+    assert any(lines(means_along(J1, J2, NONE), single) for single in (True, False))
+    found, seen = eofm.estimate_displacement(I1, I2), []
+
+    def estimate(*images):
+        seen.append(images)
+        return found
+
+    told = without_lines(J1, J2, NONE, found, estimate)
+    assert bool(seen) != moves
+    assert (told.lines == ()) == moves
 
 
 def test_saturated_lines_are_no_lines_of_a_detector():
