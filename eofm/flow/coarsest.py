@@ -15,13 +15,11 @@ from eofm.grid import Array
 from eofm.threads import serial
 
 Indices = NDArray[np.intp]
-
-
 Product = Callable[..., Any]
 
 
 class Coarsest:
-    """The Cholesky factor of K, a band matrix.
+    """The Cholesky factor of K, a band matrix, whose columns come from products with combs.
 
     Parameters
     ----------
@@ -45,8 +43,8 @@ class Coarsest:
         free, bending = operator.free, operator.bending
         self.axes, number = numbers(free.shape)
         self.x = np.zeros((free.ndim, *(n + 4 for n in free.shape)), precision)
-        # The pointwise term couples neighbours at most; where smoothness couples more, it has
-        # been looked at before.
+        # The smoothness term is that of all operators on the grid but for alpha, and needs more
+        # combs: the pointwise term couples neighbours at most.
         flat = axis_tables(free.shape, spacing, 0.0, bending)
         band = alpha * _smoothness(free.shape, spacing, bending, product)
         if not free.all():

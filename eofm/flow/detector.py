@@ -29,9 +29,9 @@ def without_lines(
     means = means_along(*images, dead)
     for single in (True, False):
         doubted = lines(means, single)
-        # What the field carries along is of the sample, even if lines have pulled the field.
-        shown = changes(*without(doubted, *images), dead, found.u, doubted)
-        doubted = tuple(line for line, part in zip(doubted, shown, strict=True) if not part < NONE)
+        # What the field carries along is of the sample: no other one has to be found.
+        parts = changes(*without(doubted, *images), dead, found.u, doubted)
+        doubted = tuple(line for line, part in zip(doubted, parts, strict=True) if not part < NONE)
         while doubted:
             told, cleaned = taken + doubted, without(doubted, *images)
             other = estimate(*cleaned)

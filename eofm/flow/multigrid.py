@@ -85,7 +85,7 @@ def multigrid(
     change: float = 0.0,
     max_iterations: int = 100,
     initial: Array | None = None,
-    levels: "Level | Coarsest | None" = None,
+    levels: "Levels | None" = None,
     report: Callable[[int, float], None] | None = None,
 ) -> Array:
     """Minimiser of F, shape (2, height, width), to a relative residual or a change.
@@ -103,7 +103,7 @@ def multigrid(
         Of the conjugate gradients.
     initial : ndarray, shape (2, height, width), optional
         Where to start, px, if its residual is smaller than that of 0.
-    levels : Level or Coarsest, optional
+    levels : Levels, optional
         The :func:`hierarchy` of an F that differs in b only, where several are minimised.
     report : callable, optional
         Called with the number of iterations done and the relative residual, from 0 on.
@@ -218,7 +218,10 @@ class Level:
         self.x, self.y = smooth(sweep, self.x, self.y, b, steps, from_zero, self.operator)
 
 
-def hierarchy(F: Quadratic) -> Level | Coarsest:
+Levels = Level | Coarsest
+
+
+def hierarchy(F: Quadratic) -> Levels:
     """The finest grid, linked to the coarser ones."""
     operator = F.operator()
     stiffness, area = _stiffness(operator)
@@ -242,7 +245,7 @@ def hierarchy(F: Quadratic) -> Level | Coarsest:
     )
     couplings = 0 if average else COUPLINGS[free.ndim]
 
-    levels: list[tuple[Operator, Transfer]] = []
+    grids: list[tuple[Operator, Transfer]] = []
     spacing = F.grid.spacing
     while (shape := _coarser(operator.shape, spacing)) is not None:
         sides = list(zip(operator.shape[::-1], shape[::-1], strict=True))
@@ -256,11 +259,11 @@ def hierarchy(F: Quadratic) -> Level | Coarsest:
         for component, axis in enumerate(axes):
             A /= axis[M].astype(own).reshape(-1, *[1] * component)
         rounded = tuple(between.rounded(precision) for between in transfer)
-        levels.append((operator.rounded(precision), rounded))
+        grids.append((operator.rounded(precision), rounded))
         operator = Operator(A, G, np.ones(shape, dtype=np.bool_), axes, operator.bending)
     product = LOOPS[free.ndim].product
-    top: Level | Coarsest = Coarsest(operator, spacing, F.alpha, product, precision)
-    for operator, transfer in reversed(levels):
+    top: Levels = Coarsest(operator, spacing, F.alpha, product, precision)
+    for operator, transfer in reversed(grids):
         top = Level(operator, degree, visits, transfer, top)
     return top
 

@@ -51,7 +51,7 @@ def axis_table(n: int, h: float, alpha: float, bending: bool) -> Array:
 def axis_tables(
     shape: tuple[int, ...], spacing: tuple[float, ...], alpha: float, bending: bool
 ) -> tuple[Array, ...]:
-    """Factors of the smoothness term of a grid, along each component."""
+    """Factors of the smoothness term of a grid, along each component, which all share."""
     sides = zip(shape[::-1], spacing, strict=True)
     return tuple(axis_table(n, float(h), alpha, bending) for n, h in sides)
 

@@ -10,10 +10,9 @@ from functools import cached_property
 
 import numpy as np
 
-from eofm.flow.coarsest import Coarsest
 from eofm.flow.functional import Pointwise, Quadratic
 from eofm.flow.matching import Match
-from eofm.flow.multigrid import Level, hierarchy, multigrid
+from eofm.flow.multigrid import Levels, hierarchy, multigrid
 from eofm.grid import Array, precision
 from eofm.imaging.intensity import Window
 from eofm.imaging.sampling import weights
@@ -67,24 +66,24 @@ class Errors:
         away is the bias, of random sign, and a rough field, for the estimate shows what is left
         of roughness only; it alone is large where no data are.
         """
-        error, roughness = self._first, self._roughness
+        levels = hierarchy(self.functional)
+        error = self._first(levels)
+        roughness = self._roughness(levels, error)
         while True:
             b = self._noise(error, rng)
             b += roughness * self._rough(rng)
             b += np.sqrt(0.5) * rng.standard_normal() * self._force
-            error = self._solve(b)
+            error = self._solve(levels, b)
             yield error
 
-    @cached_property
-    def _first(self) -> Array:
+    def _first(self, levels: Levels) -> Array:
         """An error from the noise alone."""
         rng, error = np.random.default_rng(0), np.zeros_like(self.match.g)
         for _ in range(SETTLE):
-            error = self._solve(self._noise(error, rng))
+            error = self._solve(levels, self._noise(error, rng))
         return error
 
-    @cached_property
-    def _roughness(self) -> float:
+    def _roughness(self, levels: Levels, first: Array) -> float:
         """Factor of draws of the prior, which have the other half of the energy of the bias.
 
         The bias as the estimate shows it is that of the noise in it as well, which is taken off.
@@ -92,10 +91,10 @@ class Errors:
         F = self.functional
 
         def energy(b: Array) -> float:
-            f = self._solve(b)
+            f = self._solve(levels, b)
             return float((F.terms.product(f) * f * F.grid.areas).sum())
 
-        biased, noisy = energy(self._force), energy(F.smoothed(self._first))
+        biased, noisy = energy(self._force), energy(F.smoothed(first))
         rough = energy(self._rough(np.random.default_rng(1)))
         return float(np.sqrt(0.5 * max(biased - noisy, 0.0) / (rough + TINY)))
 
@@ -132,14 +131,9 @@ class Errors:
     def _force(self) -> Array:
         return self.functional.smoothed(self.v)
 
-    @cached_property
-    def _levels(self) -> Level | Coarsest:
-        return hierarchy(self.functional)
-
-    def _solve(self, b: Array) -> Array:
-        F = self.functional
-        F = replace(F, terms=Pointwise(F.terms.A, b))
-        return multigrid(F, tol=TOLERANCE, levels=self._levels)
+    def _solve(self, levels: Levels, b: Array) -> Array:
+        F = replace(self.functional, terms=Pointwise(self.functional.terms.A, b))
+        return multigrid(F, tol=TOLERANCE, levels=levels)
 
 
 def smooth_noise(shape: tuple[int, ...], rng: np.random.Generator) -> Array:
