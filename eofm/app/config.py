@@ -81,9 +81,6 @@ class BenchmarkVolume(Section):
     cases: int = Field(
         128, ge=48, description="longest side of the volumes with al-dvc's motions, voxels"
     )
-    motions: tuple[Literal["affine", "noise", "sinusoid"], ...] = Field(
-        ("affine", "noise", "sinusoid"), description="those of al-dvc's accuracy that are run"
-    )
     seed: int = Field(1, ge=0, description="seed of the volumes")
 
 

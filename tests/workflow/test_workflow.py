@@ -296,10 +296,10 @@ def test_benchmark_volume(project):
     columns = "tool size case seconds peak_mb mean_error_px rms_at_nodes_px coverage threads"
     assert list(table.columns) == columns.split()
     cases = table[table.tool == "eofm preset"].set_index("case")
-    assert list(cases.index) == ["speckle", "sinusoid"]
-    assert cases["size"].tolist() == [24, 48]
+    assert list(cases.index) == ["speckle", "affine", "noise", "sinusoid"]
+    assert cases["size"].tolist() == [24, 48, 48, 48]
     assert (cases.seconds > 0).all()
-    assert cases.rms_at_nodes_px["sinusoid"] < 0.005
+    assert (cases.rms_at_nodes_px[["affine", "sinusoid"]] < 0.005).all()
     assert cases.coverage.between(0, 1).all()
 
 

@@ -1,6 +1,7 @@
 """Time, memory and error of several tools on volumes, and the cases that al-dvc publishes."""
 
-PUBLISHED = settings.benchmark_volume.motions
+# Motions of al-dvc's accuracy, on which it and the preset are run.
+PUBLISHED = ["affine", "noise", "sinusoid"]
 MEASURED_VOLUMES = [
     f"{tool}-speckle-{size}"
     for tool, largest in settings.benchmark_volume.largest.items()
@@ -10,7 +11,6 @@ MEASURED_VOLUMES = [
     f"{tool}-{case}-{settings.benchmark_volume.cases}"
     for tool in settings.benchmark_volume.largest
     for case in PUBLISHED
-    # On which it and the preset are run.
     if tool in ("eofm_preset", "aldvc")
 ]
 
