@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import compress
 
 import numpy as np
 
@@ -29,14 +30,18 @@ def without_lines(
     means = means_along(*images, dead)
     for single in (True, False):
         doubted = lines(means, single)
-        # What the field carries along is of the sample: no other one has to be found.
-        parts = changes(*without(doubted, *images), dead, found.u, doubted)
-        doubted = tuple(line for line, part in zip(doubted, parts, strict=True) if not part < NONE)
+        if doubted:
+            # What the field carries along is of the sample: no other one has to be found.
+            moves = changes(*without(doubted, *images), dead, found.u, doubted) < NONE
+            doubted = tuple(compress(doubted, ~moves))
         while doubted:
             told, cleaned = taken + doubted, without(doubted, *images)
             other = estimate(*cleaned)
-            stay = staying(*cleaned, dead, other.u, told)
-            if stay == told:
+            stays = changes(*cleaned, dead, other.u, told) > OWN
+            if not stays[len(taken) :].all():
+                doubted = tuple(compress(doubted, stays[len(taken) :]))
+                continue
+            if stays.all():
                 much, less = (
                     left(*each, dead, f.u)[0].std()
                     for each, f in ((images, found), (cleaned, other))
@@ -44,17 +49,8 @@ def without_lines(
                 if less < WITHOUT * much:
                     found, taken, images = other, told, cleaned
                     means = means_along(*images, dead)
-                break
-            doubted = tuple(line for line in doubted if line in stay)
+            break
     return replace(found, lines=tuple(sorted({line.axis for line in taken})))
-
-
-def staying(
-    I1: Array, I2: Array, dead: Mask, u: Array, doubted: tuple[Lines, ...]
-) -> tuple[Lines, ...]:
-    """Lines that stay as they are, though a displacement, px, carries the images without them."""
-    parts = changes(I1, I2, dead, u, doubted)
-    return tuple(line for line, part in zip(doubted, parts, strict=True) if part > OWN)
 
 
 def changes(I1: Array, I2: Array, dead: Mask, u: Array, doubted: tuple[Lines, ...]) -> Array:
@@ -69,9 +65,8 @@ def changes(I1: Array, I2: Array, dead: Mask, u: Array, doubted: tuple[Lines, ..
         Images without the lines.
     """
     rest, used, gain = left(I1, I2, dead, u)
-    parts = np.full(len(doubted), np.nan)
-    if not used.any() or not doubted:
-        return parts
+    if not used.any():
+        return np.full(len(doubted), np.nan)
     changed = []
     for line in doubted:
         moved, _ = Spline(np.broadcast_to(line.after, I2.shape)).warp(u)
@@ -82,4 +77,4 @@ def changes(I1: Array, I2: Array, dead: Mask, u: Array, doubted: tuple[Lines, ..
     seen = variances > SEEN * np.array([line.before.var() for line in doubted])
     G = np.array([[f @ g for g in changed] for f in changed])
     own = np.linalg.lstsq(G, np.array([f @ rest for f in changed]))[0]
-    return np.where(seen, own, parts)
+    return np.where(seen, own, np.nan)

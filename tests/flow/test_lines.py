@@ -5,8 +5,9 @@ import pytest
 from test_robust import SHAPE, motion, speckle
 
 import eofm
+import eofm.flow.detector
 from eofm.flow.detector import without_lines
-from eofm.imaging.lines import lines, means_along, without
+from eofm.imaging.lines import Lines, lines, means_along, without
 
 U = motion(size=4.0) + 1.0
 NONE = np.zeros(SHAPE, dtype=bool)
@@ -101,6 +102,27 @@ def test_what_the_field_carries_along_is_not_looked_at_twice(rng, moves):
     told = without_lines(J1, J2, NONE, found, estimate)
     assert bool(seen) != moves
     assert (told.lines == ()) == moves
+
+
+def test_where_lines_taken_before_no_longer_stay_the_search_ends(monkeypatch):
+    """The same lines would be taken off for ever."""
+    p = everywhere(SHAPE[0])[:, None]
+    line, (I1, I2), seen = Lines(0, p, p), speckle(U), []
+    found = eofm.estimate_displacement(I1, I2)
+
+    def parts(I1, I2, dead, u, doubted):
+        return np.array([0.1, 1.0] if len(doubted) == 2 else [1.0])
+
+    def estimate(*images):
+        seen.append(images)
+        assert len(seen) < 5
+        return found
+
+    monkeypatch.setattr(eofm.flow.detector, "lines", lambda means, single: (line,))
+    monkeypatch.setattr(eofm.flow.detector, "changes", parts)
+    told = without_lines(I1 + p, I2 + p, NONE, found, estimate)
+    assert told.lines == (0,)
+    assert len(seen) == 2
 
 
 def test_saturated_lines_are_no_lines_of_a_detector():
