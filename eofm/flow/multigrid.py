@@ -164,7 +164,7 @@ def _load(F: Quadratic, precision: DTypeLike) -> Real:
     r = F.terms.b
     for component, weights in enumerate(F.grid.weights):
         w = weights.astype(precision).reshape(-1, *[1] * component)
-        r = np.multiply(r, w, out=r if component else None)
+        r = np.multiply(r, w, out=r if component else None, order="C")
     r *= F.free
     return r
 

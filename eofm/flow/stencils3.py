@@ -2,14 +2,16 @@
 
 *Fields* on a grid of l slices, n rows and m columns have shape (3, l + 4, n + 4, m + 4), with two
 zeros around the nodes on all sides; *functionals* have shape (3, l, n, m), or that of fields,
-whose border they leave alone.
+whose border they leave alone, where a loop says so.
 
-Rows are computed in blocks of columns, in steps that each read few arrays and write into one: the
-lines of one array ``w``, whose distance is a constant. So compilers know that they are apart, and
-vectorise every loop.
+A *block* is what is computed together: some columns of a long row, or some short rows, whose fields
+are one line from the first node to the last, with what lies around the volume between them. So
+loops are long enough to be worth their start. They go in steps that each read few arrays and write
+into one: the lines of one array ``w``. So compilers vectorise all of them.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -33,12 +35,14 @@ from eofm.flow.operator import (
 )
 from eofm.grid import Array, Mask
 
-# Columns of a block, and lines of w. Three each, with the same distance for all components: K u;
-# what is still to be multiplied along the row, or differences of neighbours; and u. One each: the
-# volume of a node and the bound of the smoothness term.
-WIDE = 256
+# Numbers of a block, and lines of w. Three each, with the same distance for all components: K u
+# and u. Two, of one component, that it is made of. One each: the volume of a node and the bound of
+# the smoothness term.
+WIDE = 512
 LINE = WIDE + 16
-ACROSS, V, VOLUME, BOUND, LINES = 3, 6, 9, 10, 11
+ACROSS, V, VOLUME, BOUND, LINES = 3, 5, 8, 9, 10
+# Lines of a block and of the rows around it, of three components of three slices.
+NEAR = 3 * LINE
 # Rows of a strip in which steps of the smoother go through a volume.
 ROWS = 32
 # Slices of a coarse grid that are made together.
@@ -46,9 +50,41 @@ STRIP = 8
 FAST = {"contract"}
 
 
+class Block(NamedTuple):
+    """Columns j to e - 1 of rows i to i + rows - 1 of slice k: all columns, of several rows."""
+
+    k: int
+    i: int
+    j: int
+    e: int
+    rows: int
+
+
+@njit
+def _blocks(i, last, shape):
+    """Rows from i on that are a block, and its columns: inner rows have the same factors."""
+    n, m = shape[1:]
+    alike = min(last, n - 2) - i if i >= 2 else 1
+    return max(1, min(alike, LINE // (m + 4))), min(m, WIDE)
+
+
+@njit
+def _at(c, block, shape):
+    """Where the first node of a block stands in a field that is one line."""
+    l, n, m = shape
+    return ((c * (l + 4) + block.k + 2) * (n + 4) + block.i + 2) * (m + 4) + block.j + 2
+
+
+@njit
+def _from(c, block, shape):
+    """The same in a functional, in A, or in what is free."""
+    l, n, m = shape
+    return ((c * l + block.k) * n + block.i) * m + block.j
+
+
 @njit(fastmath=FAST)
 def _rows(s, rows, f, g, size, bending):
-    """Sums of five rows, times factors f and, for bending, times g on the third line after."""
+    """Sums of five rows, times factors f and, for bending, times g on the next line."""
     r0, r1, r2, r3, r4 = rows
     f0, f1, f2, f3, f4 = f
     g0, g1, g2, g3, g4 = g
@@ -56,7 +92,7 @@ def _rows(s, rows, f, g, size, bending):
         for x in range(size):
             v0, v1, v2, v3, v4 = r0[x], r1[x], r2[x], r3[x], r4[x]
             s[x] = f0 * v0 + (f1 * v1 + f2 * v2) + (f3 * v3 + f4 * v4)
-            s[ACROSS * LINE + x] = g0 * v0 + (g1 * v1 + g2 * v2) + (g3 * v3 + g4 * v4)
+            s[LINE + x] = g0 * v0 + (g1 * v1 + g2 * v2) + (g3 * v3 + g4 * v4)
     else:
         for x in range(size):
             s[x] = f0 * r0[x] + (f1 * r1[x] + f2 * r2[x]) + (f3 * r3[x] + f4 * r4[x])
@@ -74,10 +110,10 @@ def _more_rows(s, near, far, f, g, size):
 
 
 @njit(fastmath=FAST)
-def _along(s, u, X, j, w, size, bending):
+def _along(out, s, u, X, j, w, size, bending):
     """``m s + T t + w S u`` in columns that are all like column j of X.
 
-    t is the third line after s, u begins two columns before it and both s and t one column.
+    t is the line after s, u begins two columns before ``out`` and both s and t one column.
     """
     m, sa, sb, sc, sd, se = (
         X[M, j],
@@ -90,8 +126,8 @@ def _along(s, u, X, j, w, size, bending):
     tb, tc, td = X[TB, j], X[TC, j], X[TD, j]
     if bending:
         for x in range(size):
-            t = ACROSS * LINE + x
-            s[x] = (
+            t = LINE + x
+            out[x] = (
                 (m * s[x + 1] + sc * u[x + 2] + tc * s[t + 1])
                 + (sb * u[x + 1] + sd * u[x + 3])
                 + (sa * u[x] + se * u[x + 4])
@@ -99,34 +135,38 @@ def _along(s, u, X, j, w, size, bending):
             )
     else:
         for x in range(size):
-            s[x] = m * s[x + 1] + (sc * u[x + 2] + (sb * u[x + 1] + sd * u[x + 3]))
+            out[x] = m * s[x + 1] + (sc * u[x + 2] + (sb * u[x + 1] + sd * u[x + 3]))
 
 
 @njit(fastmath=FAST)
-def _ends(s, u, X, j, w, first, last, bending):
+def _ends(out, s, u, X, j, w, first, last, bending):
     """The same in columns of which each has a column of X, from column j on."""
     for x in range(first, last):
-        y, t = j + x, ACROSS * LINE + x
+        y, t = j + x, LINE + x
         total = X[M, y] * s[x + 1]
         total += w * (X[SC, y] * u[x + 2] + (X[SB, y] * u[x + 1] + X[SD, y] * u[x + 3]))
         if bending:
             total += w * (X[SA, y] * u[x] + X[SE, y] * u[x + 4])
             total += X[TC, y] * s[t + 1] + (X[TB, y] * s[t] + X[TD, y] * s[t + 2])
-        s[x] = total
+        out[x] = total
 
 
 @njit(fastmath=FAST)
-def _smoothness(s, u, k, i, j, size, axes, bending):
-    """Columns from j on of a row of alpha R u of one component, written to s, and u to line V."""
-    X1, X2, X3 = axes
-    m = X1.shape[1]
+def _smoothness(w, c, u, block, K):
+    """Component c of alpha R u in a block, and u to line V."""
+    k, i, j, e, rows = block
+    X1, X2, X3 = K.axes
+    n, m = K.free.shape[1:]
+    size, o, bending = e - j, _at(c, block, K.free.shape), K.bending
+    row = m + 4
+    slice_ = row * (n + 4)
     w3, sa3, sb3, sc3, sd3, se3 = X3[M, k], X3[SA, k], X3[SB, k], X3[SC, k], X3[SD, k], X3[SE, k]
     w2, sa2, sb2, sc2, sd2, se2 = X2[M, i], X2[SA, i], X2[SB, i], X2[SC, i], X2[SD, i], X2[SE, i]
     tb3, tc3, td3, tb2, tc2, td2 = X3[TB, k], X3[TC, k], X3[TD, k], X2[TB, i], X2[TC, i], X2[TD, i]
-    p, q, a, e = k + 2, i + 2, j + 1, j + size + 3
+    s, a, length = w[ACROSS * LINE :], o - 1, (rows - 1) * row + size + 2
     _rows(
         s,
-        (u[p, q, a:e], u[p, q - 1, a:e], u[p, q + 1, a:e], u[p - 1, q, a:e], u[p + 1, q, a:e]),
+        (u[a:], u[a - row :], u[a + row :], u[a - slice_ :], u[a + slice_ :]),
         (
             w3 * sc2 + w2 * sc3 + tc3 * tc2,
             w3 * sb2 + tc3 * tb2,
@@ -135,44 +175,35 @@ def _smoothness(s, u, k, i, j, size, axes, bending):
             w2 * sd3 + td3 * tc2,
         ),
         (w3 * tc2 + w2 * tc3, w3 * tb2, w3 * td2, w2 * tb3, w2 * td3),
-        size + 2,
+        length,
         bending,
     )
     if bending:
         _more_rows(
             s,
             (
-                u[p - 1, q - 1, a:e],
-                u[p - 1, q + 1, a:e],
-                u[p + 1, q - 1, a:e],
-                u[p + 1, q + 1, a:e],
+                u[a - slice_ - row :],
+                u[a - slice_ + row :],
+                u[a + slice_ - row :],
+                u[a + slice_ + row :],
             ),
-            (u[p, q - 2, a:e], u[p, q + 2, a:e], u[p - 2, q, a:e], u[p + 2, q, a:e]),
+            (u[a - 2 * row :], u[a + 2 * row :], u[a - 2 * slice_ :], u[a + 2 * slice_ :]),
             (tb3 * tb2, tb3 * td2, td3 * tb2, td3 * td2),
             (w3 * sa2, w3 * se2, w2 * sa3, w2 * se3),
-            size + 2,
+            length,
         )
     # Columns but the two outer ones are alike.
     low = min(size, max(0, 2 - j))
     high = max(low, min(size, m - 2 - j))
-    here, w = u[p, q, j : e + 1], w3 * w2
-    _ends(s, here, X1, j, w, 0, low, bending)
-    _along(s[low:], here[low:], X1, m // 2, w, high - low, bending)
-    _ends(s, here, X1, j, w, high, size, bending)
-    own = s[V * LINE :]
-    for x in range(size):
-        own[x] = here[x + 2]
-
-
-@njit(fastmath=FAST)
-def _multiply(s, v, a):
-    """Add the products of symmetric matrices, given by six lines, with three lines v to three s."""
-    a11, a12, a13, a22, a23, a33 = a
-    for j in range(a11.size):
-        v1, v2, v3 = v[j], v[LINE + j], v[2 * LINE + j]
-        s[j] += a11[j] * v1 + a12[j] * v2 + a13[j] * v3
-        s[LINE + j] += a12[j] * v1 + a22[j] * v2 + a23[j] * v3
-        s[2 * LINE + j] += a13[j] * v1 + a23[j] * v2 + a33[j] * v3
+    area = w3 * w2
+    for r in range(rows):
+        out, own = w[c * LINE + r * size :], w[(V + c) * LINE + r * size :]
+        sums, here = s[r * row :], u[o - 2 + r * row :]
+        _ends(out, sums, here, X1, j, area, 0, low, bending)
+        _along(out[low:], sums[low:], here[low:], X1, m // 2, area, high - low, bending)
+        _ends(out, sums, here, X1, j, area, high, size, bending)
+        for x in range(size):
+            own[x] = here[x + 2]
 
 
 @njit(fastmath=FAST)
@@ -190,65 +221,107 @@ def _weigh(w, a):
 
 
 @njit
-def _lines(A, c, k, i, j, e):
-    """Six lines of A from entry c on, columns j to e - 1."""
-    first, second = (A[c, k, i, j:e], A[c + 1, k, i, j:e], A[c + 2, k, i, j:e]), A[c + 3, k, i, j:e]
-    return (*first, second, A[c + 4, k, i, j:e], A[c + 5, k, i, j:e])
+def _lines(A, o, size, count):
+    """Six lines of an array that is one line, from o on and each so many numbers further."""
+    first = (A[o : o + size], A[o + count : o + count + size])
+    o += 2 * count
+    second = (A[o : o + size], A[o + count : o + count + size])
+    o += 2 * count
+    return (*first, *second, A[o : o + size], A[o + count : o + count + size])
 
 
-@njit(fastmath=FAST)
-def _differences(d, u, p, q, size):
-    """Lines of ``u_q - u_p`` for nodes from q and p on."""
+@njit
+def _entries(block, K):
+    """The six entries of A in a block."""
+    size = block.rows * (block.e - block.j)
+    return _lines(K.A.reshape(K.A.size), _from(0, block, K.free.shape), size, K.free.size)
+
+
+@njit
+def _gather(near, u, block, shape):
+    """Copy the rows of a block, those around it and those of the slices around, one by one.
+
+    Return the distance of two rows. Rows of several go without the zeros between them, as G does.
+    """
+    n, m = shape[1:]
+    row, alone = m + 4, int(block.rows == 1)
+    step = block.e - block.j + 2 * alone
     for c in range(3):
-        up, uq = u[c, p[0] + 2, p[1] + 2, p[2] + 2 :], u[c, q[0] + 2, q[1] + 2, q[2] + 2 :]
-        dc = d[c * LINE :]
-        for j in range(size):
-            dc[j] = uq[j] - up[j]
+        o = _at(c, block, shape)
+        for k in range(3):
+            first = o + (k - 1) * row * (n + 4)
+            for r in range(block.rows + 2):
+                here = u[first + (r - 1) * row - alone :]
+                line = near[(3 * k + c) * NEAR + 1 + r * step - alone :]
+                for x in range(step):
+                    line[x] = here[x]
+    return step
 
 
 @njit(fastmath=FAST)
-def _springs(w, u, G, k, i, j, e):
-    """Add ``G (u_q - u_p)`` to columns j to e - 1 of a row, for the neighbours q of each node p."""
-    l, n, m = G.shape[1:]
+def _pull(s, p, q, a):
+    """Add the products of symmetric matrices, given by six lines, with ``u_q - u_p``."""
+    a11, a12, a13, a22, a23, a33 = a
+    for j in range(a11.size):
+        v1 = q[j] - p[j]
+        v2 = q[NEAR + j] - p[NEAR + j]
+        v3 = q[2 * NEAR + j] - p[2 * NEAR + j]
+        s[j] += a11[j] * v1 + a12[j] * v2 + a13[j] * v3
+        s[LINE + j] += a12[j] * v1 + a22[j] * v2 + a23[j] * v3
+        s[2 * LINE + j] += a13[j] * v1 + a23[j] * v2 + a33[j] * v3
+
+
+@njit
+def _springs(w, near, u, block, K):
+    """Add ``G (u_q - u_p)`` in a block, for the neighbours q of each node p."""
+    k, i, j, e, rows = block
+    l, n, m = K.free.shape
+    G, count = K.G.reshape(K.G.size), K.free.size
+    step = _gather(near, u, block, K.free.shape)
+    p = 3 * NEAR + 1 + step
     for kind in range(1, 8):
         b3, b2, b1 = kind >> 2, kind >> 1 & 1, kind & 1
-        for K in range(k - b3, k + 1):
-            k2 = 2 * K + 1 - k if b3 else k
-            if K < 0 or k2 >= l:
+        for back3 in range(b3 + 1):
+            ahead3 = b3 * (1 - 2 * back3)
+            if not 0 <= k + ahead3 < l:
                 continue
-            for I in range(i - b2, i + 1):
-                i2 = 2 * I + 1 - i if b2 else i
-                if I < 0 or i2 >= n:
+            for back2 in range(b2 + 1):
+                ahead2 = b2 * (1 - 2 * back2)
+                if not 0 <= i + ahead2 < n:
                     continue
                 for back in range(b1 + 1):
-                    step = 1 - 2 * back if b1 else 0
-                    first, last = max(j, back), min(e, m - b1 + back)
-                    size = last - first
-                    s, d = w[first - j :], w[ACROSS * LINE + first - j :]
-                    _differences(d, u, (k, i, first), (k2, i2, first + step), size)
-                    _multiply(s, d, _lines(G, 6 * kind - 6, K, I, first - back, last - back))
+                    # G is zero between rows. Before the first node, or after the last, is none.
+                    skip, end = int(back == 1 and j == 0), int(b1 > back and e == m)
+                    q = p + 3 * NEAR * ahead3 + step * ahead2 + b1 * (1 - 2 * back)
+                    cell = ((6 * (kind - 1) * l + k - back3) * n + i - back2) * m + j - back
+                    size = rows * (e - j) - skip - end
+                    lines = _lines(G, cell + skip, size, count)
+                    _pull(w[skip:], near[p + skip :], near[q + skip :], lines)
 
 
 @njit(fastmath=FAST)
-def _weights(w, k, i, j, e, axes):
+def _weights(w, block, K):
     """The volume of each node, and the sum over each row of ``|alpha R|``."""
-    X1, X2, X3 = axes
+    k, i, j, e, rows = block
+    X1, X2, X3 = K.axes
     w3, w2 = X3[M, k], X2[M, i]
     c = w3 * X2[S_SUM, i] + w2 * X3[S_SUM, k] + X3[T_SUM, k] * X2[T_SUM, i]
     area, t = w3 * w2, w3 * X2[T_SUM, i] + w2 * X3[T_SUM, k]
     m1, s1, t1 = X1[M, j:e], X1[S_SUM, j:e], X1[T_SUM, j:e]
-    for x in range(m1.size):
-        w[VOLUME * LINE + x] = area * m1[x]
-        w[BOUND * LINE + x] = c * m1[x] + area * s1[x] + t * t1[x]
+    for r in range(rows):
+        volume = w[VOLUME * LINE + r * (e - j) :]
+        for x in range(m1.size):
+            volume[x] = area * m1[x]
+            volume[BOUND * LINE - VOLUME * LINE + x] = c * m1[x] + area * s1[x] + t * t1[x]
 
 
 @njit(fastmath=FAST)
-def _row(w, u, k, i, j, e, K):
-    """Columns j to e - 1 of row (k, i) of K u but for ``volume A u``, and of u, written to w."""
+def _block(w, near, u, block, K):
+    """K u but for ``volume A u`` in a block, and u, written to w."""
     for c in range(3):
-        _smoothness(w[c * LINE :], u[c], k, i, j, e - j, K.axes, K.bending)
+        _smoothness(w, c, u, block, K)
     if K.G.shape[0] > 0:
-        _springs(w, u, K.G, k, i, j, e)
+        _springs(w, near, u, block, K)
 
 
 @njit(fastmath={"reassoc", "contract"})
@@ -270,24 +343,30 @@ def _inside(q, c, k, i, shape):
 
 @compiled
 def _product(first, last, q, sums, u, K):
-    shape = K.free.shape
-    n, m = shape[1:]
-    w = np.empty(LINES * LINE, K.axes[0].dtype)
-    zero = q.dtype.type(0)
+    n, m = K.free.shape[1:]
+    w, near = np.empty(LINES * LINE, K.axes[0].dtype), np.empty(9 * NEAR, u.dtype)
+    zero, line = q.dtype.type(0), u.reshape(u.size)
     for k in range(first, last):
-        for i in range(n):
-            for j in range(0, m, WIDE):
-                e = min(j + WIDE, m)
-                _row(w, u, k, i, j, e, K)
-                _weights(w, k, i, j, e, K.axes)
-                _weigh(w, _lines(K.A, 0, k, i, j, e))
-                free = K.free[k, i, j:e]
+        i = 0
+        while i < n:
+            rows, columns = _blocks(i, n, K.free.shape)
+            for j in range(0, m, columns):
+                block = Block(k, i, j, min(j + columns, m), rows)
+                size = block.e - j
+                _block(w, near, line, block, K)
+                _weights(w, block, K)
+                _weigh(w, _entries(block, K))
                 for c in range(3):
-                    qc, s = _inside(q, c, k, i, shape)[j:e], w[c * LINE :]
-                    for x in range(qc.size):
-                        qc[x] = s[x] if free[x] else zero
-            for c in range(3):
-                sums[c, k, i] = _dot(u[c, k + 2, i + 2, 2 : m + 2], _inside(q, c, k, i, shape))
+                    for r in range(rows):
+                        qc, s = _inside(q, c, k, i + r, K.free.shape)[j:], w[c * LINE + r * size :]
+                        free = K.free[k, i + r, j : block.e]
+                        for x in range(free.size):
+                            qc[x] = s[x] if free[x] else zero
+            i += rows
+        for c in range(3):
+            for i in range(n):
+                inner, own = u[c, k + 2, i + 2, 2 : m + 2], _inside(q, c, k, i, K.free.shape)
+                sums[c, k, i] = _dot(inner, own)
 
 
 def product(q: Real, u: Real, K: Operator) -> Array:
@@ -328,41 +407,49 @@ def _correct(w, a):
 
 
 @njit(fastmath=FAST)
-def _chebyshev_block(w, y, x, b, k, i, j, e, c1, c2, from_zero, K):
-    zero = x.dtype.type(0)
-    free = K.free[k, i, j:e]
+def _chebyshev(w, near, y, x, b, block, c1, c2, from_zero, K):
+    """A step of the smoother in a block."""
+    size, row, zero = block.e - block.j, K.free.shape[2] + 4, x.dtype.type(0)
+    numbers = block.rows * size
     if not from_zero:
-        _row(w, x, k, i, j, e, K)
+        _block(w, near, x, block, K)
     for c in range(3):
-        bc, s = _inside(b, c, k, i, K.free.shape)[j:e], w[c * LINE :]
+        bc, s = b[_from(c, block, K.free.shape) :], w[c * LINE :]
         if from_zero:
-            for t in range(bc.size):
+            for t in range(numbers):
                 s[t] = bc[t]
                 s[V * LINE + t] = zero
         else:
-            for t in range(bc.size):
+            for t in range(numbers):
                 s[t] = bc[t] - s[t]
-    _weights(w, k, i, j, e, K.axes)
-    _correct(w, _lines(K.A, 0, k, i, j, e))
+    _weights(w, block, K)
+    _correct(w, _entries(block, K))
     for c in range(3):
-        xc, yc, z = x[c, k + 2, i + 2, j + 2 :], y[c, k + 2, i + 2, j + 2 :], w[c * LINE :]
-        if from_zero:
-            for t in range(free.size):
-                xc[t] = zero
-            for t in range(free.size):
-                yc[t] = c2 * z[t] if free[t] else zero
-        else:
-            own = w[(V + c) * LINE :]
-            for t in range(free.size):
-                yc[t] = own[t] + c1 * (own[t] - yc[t]) + (c2 * z[t] if free[t] else zero)
+        for r in range(block.rows):
+            free = K.free[block.k, block.i + r, block.j : block.e]
+            o, z = _at(c, block, K.free.shape) + r * row, w[c * LINE + r * size :]
+            xc, yc = x[o:], y[o:]
+            if from_zero:
+                for t in range(free.size):
+                    xc[t] = zero
+                for t in range(free.size):
+                    yc[t] = c2 * z[t] if free[t] else zero
+            else:
+                own = z[V * LINE :]
+                for t in range(free.size):
+                    yc[t] = own[t] + c1 * (own[t] - yc[t]) + (c2 * z[t] if free[t] else zero)
 
 
 @compiled
 def sweep(first, last, slabs, reach, x, y, b, c, from_zero, K):
-    """Steps with the weights c on some slabs, see :func:`eofm.flow.sweeps.smooth`."""
+    """Steps with the weights c on some slabs, see :func:`eofm.flow.sweeps.smooth`.
+
+    The functional b has shape (3, l, n, m).
+    """
     n, m = K.free.shape[1:]
     steps = c.shape[0]
-    w = np.empty(LINES * LINE, x.dtype)
+    w, near = np.empty(LINES * LINE, x.dtype), np.empty(9 * NEAR, x.dtype)
+    one, other, load = x.reshape(x.size), y.reshape(y.size), b.reshape(b.size)
     for slab in range(first, last):
         low, high = slabs[slab, :, 0], slabs[slab, :, 1]
         for top in range(0, n, ROWS):
@@ -372,31 +459,36 @@ def sweep(first, last, slabs, reach, x, y, b, c, from_zero, K):
                     k, behind = front - reach * step, reach * step
                     if not low[step] <= k < high[step]:
                         continue
-                    old, new = (x, y) if step % 2 == 0 else (y, x)
+                    old, new = (one, other) if step % 2 == 0 else (other, one)
                     zero = from_zero and step == 0
-                    for i in range(top - behind if top else 0, end - behind if end < n else n):
-                        for j in range(0, m, WIDE):
-                            e = min(j + WIDE, m)
-                            _chebyshev_block(
-                                w, new, old, b, k, i, j, e, c[step, 0], c[step, 1], zero, K
+                    i, after = top - behind if top else 0, end - behind if end < n else n
+                    while i < after:
+                        rows, columns = _blocks(i, after, K.free.shape)
+                        for j in range(0, m, columns):
+                            block = Block(k, i, j, min(j + columns, m), rows)
+                            _chebyshev(
+                                w, near, new, old, load, block, c[step, 0], c[step, 1], zero, K
                             )
+                        i += rows
 
 
 @njit(fastmath=FAST)
-def _collect(r, b, x, k, i, w, K):
-    """Rows of b - K x, 0 where not free, of three components."""
-    m = r.shape[1]
+def _collect(r, b, x, k, i, rows, columns, w, near, K):
+    """Rows of b - K x, 0 where not free, of three components, to r of shape (3, rows, m)."""
+    m = r.shape[2]
     zero = x.dtype.type(0)
-    for j in range(0, m, WIDE):
-        e = min(j + WIDE, m)
-        _row(w, x, k, i, j, e, K)
-        _weights(w, k, i, j, e, K.axes)
-        _weigh(w, _lines(K.A, 0, k, i, j, e))
-        free = K.free[k, i, j:e]
+    for j in range(0, m, columns):
+        block = Block(k, i, j, min(j + columns, m), rows)
+        size = block.e - j
+        _block(w, near, x, block, K)
+        _weights(w, block, K)
+        _weigh(w, _entries(block, K))
         for c in range(3):
-            rc, bc, s = r[c, j:e], _inside(b, c, k, i, K.free.shape)[j:e], w[c * LINE :]
-            for t in range(rc.size):
-                rc[t] = bc[t] - s[t] if free[t] else zero
+            for row in range(rows):
+                rc, s = r[c, row, j : block.e], w[c * LINE + row * size :]
+                bc, free = b[c, k, i + row, j:], K.free[k, i + row, j:]
+                for t in range(rc.size):
+                    rc[t] = bc[t] - s[t] if free[t] else zero
 
 
 @njit(fastmath=FAST)
@@ -411,19 +503,25 @@ def _restrict(first, last, rc, b, x, transfer, K):
     (J1, t1), (J2, t2), (J3, t3) = transfer
     n, m = J2.size, J1.size
     nc = rc.shape[2]
-    one = b.dtype.type(1)
-    w, r = np.empty(LINES * LINE, x.dtype), np.empty((3, m), x.dtype)
+    one, line = b.dtype.type(1), x.reshape(x.size)
+    w, near = np.empty(LINES * LINE, x.dtype), np.empty(9 * NEAR, x.dtype)
+    r = np.empty((3, max(1, LINE // m), m), x.dtype)
     for strip in range(first, last):
         low, high = strip * STRIP, min((strip + 1) * STRIP, rc.shape[1])
         R = np.zeros((2, 3, nc, m), x.dtype)  # one slice, and the next
         for k in range(np.searchsorted(J3, low - 1), np.searchsorted(J3, high)):
-            for i in range(n):
-                _collect(r, b, x, k, i, w, K)
+            i = 0
+            while i < n:
+                rows, columns = _blocks(i, n, K.free.shape)
+                _collect(r, b, line, k, i, rows, columns, w, near, K)
                 for c in range(3):
                     for up in range(2):
                         t = t3[k] if up else one - t3[k]
-                        _spread(R[up, c, J2[i]], r[c], t * (one - t2[i]))
-                        _spread(R[up, c, J2[i] + 1], r[c], t * t2[i])
+                        for row in range(rows):
+                            I, part = J2[i + row], t2[i + row]
+                            _spread(R[up, c, I], r[c, row], t * (one - part))
+                            _spread(R[up, c, I + 1], r[c, row], t * part)
+                i += rows
             done = k + 1 == J3.size or J3[k + 1] > J3[k]
             if done and J3[k] >= low:
                 _narrow(rc, J3[k], R[0], J1, t1)
