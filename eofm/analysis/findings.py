@@ -244,7 +244,8 @@ def _lines(summary: dict[str, Any]) -> Iterator[Finding]:
     if lines := summary["lines_taken_off"]:
         yield Finding(
             "note",
-            f"Lines of a detector, the same {' and '.join(lines)} of both images, were taken off.",
+            f"Lines of a detector, the same {' and '.join(lines)} of both images, or some that"
+            " flicker, were taken off.",
             "The mean of many frames without a sample, taken off all frames, removes them better.",
         )
 

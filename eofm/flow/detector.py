@@ -1,14 +1,18 @@
-"""Lines of a detector: what stays in whole rows or columns where the sample moves."""
+"""Lines of a detector: what stays, or flickers, in whole rows or columns as the sample moves."""
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial, reduce
 from itertools import compress
 
 import numpy as np
 
 from eofm.flow.found import Estimate
+from eofm.flow.images import resized
+from eofm.flow.pair import LIVE
 from eofm.flow.start import left
 from eofm.grid import Array, Mask
+from eofm.imaging.flicker import flickers, level, without_changes
 from eofm.imaging.lines import Lines, lines, means_along, without
 from eofm.imaging.splines import Spline
 
@@ -17,16 +21,30 @@ from eofm.imaging.splines import Spline
 OWN, NONE, SEEN = 0.75, 0.4, 5e-4
 # What is left of images without lines that were theirs, at most.
 WITHOUT = 0.97
+# The same of lines that flicker, which a displacement may have followed to leave less.
+ALIKE = 1.01
+# Times that lines which flicker are taken off: contrast is to first order each time.
+PASSES = 3
+
+Images = tuple[Array, Array]
 
 
 def without_lines(
-    I1: Array, I2: Array, dead: Mask, found: Estimate, estimate: Callable[[Array, Array], Estimate]
+    I1: Array, I2: Array, dead: Mask, estimate: Callable[[Array, Array], Estimate]
 ) -> Estimate:
-    """The estimate, or that of images without lines that stay, if less of these is left.
+    """The estimate, or that of images without lines, if less of these is left."""
+    found, images = without_lines_that_stay((I1, I2), dead, estimate(I1, I2), estimate)
+    return without_flicker(images, dead, found, estimate) if I1.ndim == 2 else found
+
+
+def without_lines_that_stay(
+    images: Images, dead: Mask, found: Estimate, estimate: Callable[[Array, Array], Estimate]
+) -> tuple[Estimate, Images]:
+    """The estimate, or that of images without lines that stay, if less is left; and these images.
 
     Single lines first: where there are large structures, lines everywhere may be of these.
     """
-    taken, images = tuple[Lines, ...](), (I1, I2)
+    taken = tuple[Lines, ...]()
     means = means_along(*images, dead)
     for single in (True, False):
         doubted = lines(means, single)
@@ -50,7 +68,52 @@ def without_lines(
                     found, taken, images = other, told, cleaned
                     means = means_along(*images, dead)
             break
-    return replace(found, lines=tuple(sorted({line.axis for line in taken})))
+    return replace(found, lines=tuple(sorted({line.axis for line in taken}))), images
+
+
+def without_flicker(
+    images: Images, dead: Mask, found: Estimate, estimate: Callable[[Array, Array], Estimate]
+) -> Estimate:
+    """The estimate, or that of images without lines that flicker, if less of these is left.
+
+    A displacement that follows lines hides them. So they are looked for after that of images whose
+    lines have one brightness and contrast, too; where structures lie along lines, that loses these.
+    """
+    unused = [resized(~live, dead.shape) for live in (found.pair.live, found.pair.live_after)]
+    there = Spline(unused[1].astype(found.u.dtype)).warp(found.u)[0] > 1 - LIVE
+    dead = dead | unused[0] | there
+    seen, rest, used = _compared(images, dead, found.u)
+    axes = flickers(seen, rest, used) if used.any() else ()
+    if not axes:
+        return found
+    each = zip(images, unused, strict=True)
+    even = estimate(*(reduce(partial(level, dead=mask), axes, I) for I, mask in each))
+    ways = [(_steady(images, dead, f.u, axes), f) for f in (found, even)]
+    steady, _ = min(ways, key=lambda way: _left(way[0], dead, way[1].u))
+    other = estimate(*steady)
+    if _left(steady, dead, other.u) > ALIKE * _left(steady, dead, found.u):
+        return found
+    return replace(other, lines=tuple(sorted({*found.lines, *axes})))
+
+
+def _compared(images: Images, dead: Mask, u: Array) -> tuple[Array, Array, Mask]:
+    """What two images show after a displacement, but for its mean; what it leaves; and where."""
+    rest, used, _ = left(*images, dead, u)
+    before = images[0][used]
+    return before - before.sum() / max(1, before.size) - rest / 2, rest, used
+
+
+def _steady(images: Images, dead: Mask, u: Array, axes: tuple[int, ...]) -> Images:
+    """The images without lines that flicker along some axes, as a displacement tells them."""
+    for axis in axes:
+        for _ in range(PASSES):
+            images = without_changes(images, *_compared(images, dead, u), u, axis)
+    return images
+
+
+def _left(images: Images, dead: Mask, u: Array) -> float:
+    """Standard deviation that a displacement leaves, as a part of the first image's."""
+    return float(left(*images, dead, u)[0].std() / images[0].std())
 
 
 def changes(I1: Array, I2: Array, dead: Mask, u: Array, doubted: tuple[Lines, ...]) -> Array:

@@ -111,7 +111,7 @@ def estimate_displacement(
     known = replace(known, dead=frame | known.dead_on(I1.shape)) if frame.any() else known
     estimate = partial(_estimate, settings=settings, known=known, progress=progress)
     dead = known.dead_on(I1.shape)
-    found = without_lines(I1, I2, dead, estimate(I1, I2), estimate)
+    found = without_lines(I1, I2, dead, estimate)
     return replace(found, printed=found.printed | frame)
 
 

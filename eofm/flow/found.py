@@ -49,8 +49,8 @@ class Estimate:
     edges : tuple of str
         Those whose motion was stated.
     lines : tuple of int
-        Axes of the images along which lines of a detector change that were taken off: 0 for rows
-        and 1 for columns of an image.
+        Axes of the images along which lines of a detector, or lines that flicker, were taken off:
+        0 for rows and 1 for columns of an image.
     """
 
     u: Array

@@ -45,9 +45,14 @@ BLOCKS, FEWEST, MANY = 20, 8, {2: 256, 3: 64}
 MARGIN = 2
 # Sides of blocks, and margins: those, and some that are short for a wavelength of 20 samples, which
 # could not be told from what lies around larger ones; and how much less the weight is that those
-# find where motion was lost.
+# find where motion was lost. Where the finest scale finds one as much less than a coarser one did,
+# blocks of twice the side decide if structures are as wide as a block: what is left of such that
+# change is told in small blocks by what is around them, as motion is.
 Blocks = tuple[int, int]
-USUAL, SMALL, FOUND = (BLOCK, MARGIN), (4, 1), STEP**4
+USUAL, SMALL, LARGE, FOUND = (BLOCK, MARGIN), (4, 1), (2 * BLOCK, 2 * MARGIN), STEP**4
+# Structures as wide as a block: gradients half of it apart correlate more than this part of how
+# those two samples apart do. Speckle 9 samples wide has 0.5 to 0.8, such of 2 none.
+WIDE = 0.5
 # Weight of volumes, times the first one, above which rounding in single precision outweighs the
 # images. The motion is as good as affine there.
 STIFFEST = 27.0
@@ -170,12 +175,29 @@ def best_weight(
     """The weight with the least misfit on blocks of some size, small ones where motion is lost."""
     usual = trials(USUAL)
     choice, side = least_misfit(usual, start, before), usual[0].match.grid.side
+    if before and choice.best < start / FOUND and _wide([t.match.g for t in usual]):
+        large = least_misfit(trials(LARGE), start, before)
+        return (choice, USUAL) if large.best < start / FOUND else (large, LARGE)
     squares = sum(float((t.counts * (t.match.g**2).sum(0)).sum()) for t in usual)
     if not before and choice.misfit > (LOST * side) ** 2 * squares:
         small = least_misfit(trials(SMALL), choice.best, lost=True)
         if small.best < choice.best / FOUND:
             return small, SMALL
     return choice, USUAL
+
+
+def _wide(gradients: Sequence[Array]) -> bool:
+    """Whether structures are as wide as a block."""
+
+    def alike(lag: int) -> float:
+        total = 0.0
+        for g in gradients:
+            for axis in range(1, g.ndim):
+                f = np.moveaxis(g, axis, 0)
+                total += float((f[lag:] * f[:-lag]).sum())
+        return total
+
+    return alike(BLOCK // 2) > WIDE * alike(2) > 0
 
 
 def least_misfit(

@@ -137,7 +137,8 @@ class Estimation(Section):
         True,
         description="whether to fit changes of brightness and contrast, to weigh residuals by"
         " their noise, to leave out highlights, saturated lines, impulses and what is printed on"
-        " both images, to take off lines of a detector, and to search far away",
+        " both images, to take off lines of a detector and lines that flicker, and to search far"
+        " away",
     )
 
     @model_validator(mode="before")

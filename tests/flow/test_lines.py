@@ -1,4 +1,4 @@
-"""Lines of detectors: what is added to whole rows or columns of both images."""
+"""Lines of detectors: what stays, or flickers, in whole rows or columns of both images."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,9 @@ from test_robust import SHAPE, motion, speckle
 
 import eofm
 import eofm.flow.detector
-from eofm.flow.detector import without_lines
+from eofm.flow.detector import without_lines_that_stay
+from eofm.flow.start import left
+from eofm.imaging.flicker import flickers, level, without_changes
 from eofm.imaging.lines import Lines, lines, means_along, without
 
 U = motion(size=4.0) + 1.0
@@ -99,7 +101,7 @@ def test_what_the_field_carries_along_is_not_looked_at_twice(rng, moves):
         seen.append(images)
         return found
 
-    told = without_lines(J1, J2, NONE, found, estimate)
+    told, _ = without_lines_that_stay((J1, J2), NONE, found, estimate)
     assert bool(seen) != moves
     assert (told.lines == ()) == moves
 
@@ -120,7 +122,7 @@ def test_where_lines_taken_before_no_longer_stay_the_search_ends(monkeypatch):
 
     monkeypatch.setattr(eofm.flow.detector, "lines", lambda means, single: (line,))
     monkeypatch.setattr(eofm.flow.detector, "changes", parts)
-    told = without_lines(I1 + p, I2 + p, NONE, found, estimate)
+    told, _ = without_lines_that_stay((I1 + p, I2 + p), NONE, found, estimate)
     assert told.lines == (0,)
     assert len(seen) == 2
 
@@ -144,3 +146,60 @@ def test_lines_of_volumes(rng):
     assert line.axis == 1
     assert line.before.shape == (1, 24, 1)
     assert np.corrcoef(line.before.ravel(), p.ravel())[0, 1] > 0.99
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("kind", ["added", "multiplied"])
+def test_lines_that_flicker_are_taken_off(kind, axis):
+    rng = np.random.default_rng(5)
+    I1, I2 = speckle(U)
+
+    def flickering(I):
+        line = np.expand_dims(rng.normal(0, 0.15, SHAPE[axis]), 1 - axis)
+        return I + line * I.std() if kind == "added" else I * (1 + line)
+
+    off, found = error(flickering(I1), flickering(I2), U)
+    assert found.lines == (axis,)
+    assert off < 0.03
+    assert found.trust.verdict == "good"
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_no_line_flickers_in_speckle_or_in_layers_that_move(rng, noise):
+    x2 = np.arange(SHAPE[0], dtype=float)[:, None]
+    for seed in range(3):
+        u = motion(size=1.0 + seed)
+        I1, I2 = speckle(u, seed=seed)
+        I1, I2 = I1 + 0.3 * np.sin((x2 + u[1]) / 2), I2 + 0.3 * np.sin(x2 / 2)
+        seen = (I + noise * rng.normal(size=SHAPE) for I in (I1, I2))
+        rest, used, _ = left(*seen, NONE, u)
+        assert flickers(I1[used] - I1[used].mean(), rest, used) == ()
+
+
+def test_shading_does_not_flicker():
+    """What changes smoothly from line to line is left to the fit of brightness."""
+    I1, I2 = speckle(U)
+    rest, used, _ = left(I1, I2 * np.linspace(1.2, 0.6, SHAPE[1]), NONE, U)
+    assert flickers(I1[used] - I1[used].mean(), rest, used) == ()
+
+
+def test_what_flickers_is_told_for_each_image(rng):
+    """As the motion varies along lines; and nothing is taken off where nothing does."""
+    I1, I2 = speckle(U)
+    p1, p2 = 0.1 * rng.normal(size=(2, SHAPE[0], 1))
+    for add1, add2 in ((p1, p2), (0 * p1, 0 * p2)):
+        J1, J2 = I1 + add1, I2 + add2
+        rest, used, _ = left(J1, J2, NONE, U)
+        seen = J1[used] - J1[used].mean() - rest / 2
+        K1, K2 = without_changes((J1, J2), seen, rest, used, U, 0)
+        left_over = left(K1, K2, NONE, U)[0].std()
+        assert left_over < max(0.25 * rest.std(), 1.01 * left(I1, I2, NONE, U)[0].std())
+
+
+def test_level_lines_have_one_mean_and_one_contrast(rng):
+    I, dead = rng.normal(size=(30, 40)) * rng.uniform(1, 2, (30, 1)), NONE[:30, :40].copy()
+    dead[3:9, 5:11] = True
+    I[dead] = 50.0
+    live = np.ma.masked_array(level(I, 0, dead), dead)
+    np.testing.assert_allclose(live.mean(1), I[~dead].mean())
+    np.testing.assert_allclose(live.std(1), live.std(1)[0])

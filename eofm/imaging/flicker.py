@@ -1,0 +1,170 @@
+"""Lines that flicker: rows or columns whose brightness or contrast is another one in each image.
+
+A-lines of a source whose power varies, rows of a camera whose gain does: what a line adds, or is
+multiplied by, is not that of the line beside it, and changes from image to image. A displacement
+that follows it is wrong all along the line.
+"""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from eofm.grid import Array, Mask
+
+if TYPE_CHECKING:
+    from scipy import sparse
+
+# Parts into which lines are cut to see whether they are alike all along, and power that the parts
+# share where there are such lines: as a part of what chance leaves in it, and of that of the image.
+# Without lines the first is 1 at most, but where images match so well that errors of interpolation
+# are all that is left; lines of 3 percent of an image's contrast have 2 to 30.
+PARTS, CLEAR, SEEN = 8, 4.0, 0.01**2
+# Least power, as a part of what chance leaves, that lines are given.
+FAINT = 1e-3
+# Lines, of which the mean is taken off to see what differs from those beside: what changes smoothly
+# from line to line is shading.
+BESIDE = 15
+# Standard deviations beyond which a difference of the images says no more.
+FAR = 4.0
+# Least contrast of a line, as a part of the image's, when all are given the same.
+LEAST = 0.05
+# Pixels of which equations are summed up at once.
+CHUNK = 2**18
+TINY = float(np.finfo(np.float32).tiny)
+
+
+def flickers(seen: Array, rest: Array, used: Mask) -> tuple[int, ...]:
+    """Axes of two images along which lines flicker.
+
+    Parameters
+    ----------
+    seen, rest : ndarray, shape (N,)
+        What both images show after a displacement, and what it leaves of their difference, at the
+        N pixels that are ``used``.
+    used : ndarray of bool, shape (height, width)
+    """
+    rest, axes = _near(rest), []
+    for axis in range(used.ndim):
+        for f in _functions(seen):
+            shared, chance = _power(rest, f, used, axis, smooth=False)
+            if shared > max(CLEAR * chance, SEEN * seen.var()):
+                axes.append(axis)
+                break
+    return tuple(axes)
+
+
+def level(I: Array, axis: int, dead: Mask) -> Array:
+    """The image with one brightness and one contrast of all its lines.
+
+    Parameters
+    ----------
+    axis : int
+        Along which lines follow each other: 0 for rows, 1 for columns.
+    """
+    live = ~dead
+    counts = np.maximum(live.sum(1 - axis, keepdims=True), 1)
+    off = I - (I * live).sum(1 - axis, keepdims=True) / counts
+    contrast = np.sqrt((off**2 * live).sum(1 - axis, keepdims=True) / counts)
+    usual = float(np.median(contrast))
+    off *= usual / np.maximum(contrast, LEAST * usual + TINY)
+    return off + I.mean(where=live)
+
+
+def without_changes(
+    images: tuple[Array, Array], seen: Array, rest: Array, used: Mask, u: Array, axis: int
+) -> tuple[Array, Array]:
+    """Two images without what their lines add, and with one contrast of all lines, to first order.
+
+    Least squares of all profiles together, as a displacement that varies along a line tells those
+    of both images apart. Each is shrunk as far as chance makes it (Wiener's filter): where lines
+    do not flicker, nothing is taken off.
+
+    Parameters
+    ----------
+    images : pair of ndarray, shape (height, width)
+    seen, rest, used
+        See :func:`flickers`.
+    u : ndarray, shape (2, height, width)
+        The displacement, px.
+    axis : int
+    """
+    from scipy import sparse
+    from scipy.sparse.linalg import cg
+
+    n, rest = used.shape[axis], _near(rest)
+    functions, ridge = _functions(seen), []
+    for f in functions:
+        shared, chance = _power(rest, f, used, axis)
+        # Half of what changes is of each image.
+        own = chance * float(f @ f) / n
+        ridge += 2 * [own / max(shared / 2, FAINT * chance, TINY)]
+    at: Array = np.indices(used.shape, sparse=True)[axis]
+    here = np.broadcast_to(at, used.shape)[used].astype(float)
+    there = (at + u[1 - axis])[used].clip(0, n - 1)
+    K, b = sparse.diags_array(np.repeat(ridge, n)).tocsr(), np.zeros(4 * n)
+    for first in range(0, rest.size, CHUNK):
+        some = slice(first, first + CHUNK)
+        lines = [_between(here[some], n), -_between(there[some], n)]
+        B = sparse.hstack([sparse.diags_array(f[some]) @ line for f in functions for line in lines])
+        B = B.tocsr()
+        K, b = K + B.T @ B, b + B.T @ rest[some]
+    profiles, _ = cg(K, b, rtol=1e-6, maxiter=500)
+    shape = (n, 1) if axis == 0 else (1, n)
+    profiles = profiles.reshape(2, 2, *shape)
+    steady = []
+    for I, added, changed in zip(images, *profiles, strict=True):
+        middle = I.mean(where=used)
+        added, changed = added * (I.std() / images[0].std()), changed / seen.std()
+        steady.append(middle + (I - middle - added) / (1 + changed))
+    return steady[0], steady[1]
+
+
+def _between(places: Array, n: int) -> "sparse.csr_array":
+    """Values at places along an axis, between those of n lines, as a matrix."""
+    from scipy import sparse
+
+    line = places.astype(np.intp).clip(0, n - 2)
+    t, row = places - line, np.arange(places.size)
+    entries = np.concatenate([1 - t, t]), (np.tile(row, 2), np.concatenate([line, line + 1]))
+    return sparse.csr_array(entries, (places.size, n))
+
+
+def _functions(seen: Array) -> tuple[Array, Array]:
+    """What lines add, and what they change the contrast of, alike in size."""
+    return np.ones_like(seen), seen / (seen.std() + TINY)
+
+
+def _near(rest: Array) -> Array:
+    """Differences without what is far from all others: something else than lines."""
+    usual = float(np.median(np.abs(rest))) / 0.6745
+    return rest.clip(-FAR * usual, FAR * usual)
+
+
+def _power(
+    rest: Array, f: Array, used: Mask, axis: int, smooth: bool = True
+) -> tuple[float, float]:
+    """Power of the factors of f in each line that its parts share, and what chance leaves in it.
+
+    Either of all of them, or only of what differs from the lines beside.
+    """
+    from scipy.ndimage import uniform_filter1d
+
+    sums = []
+    for values in (rest * f, f * f):
+        whole = np.zeros(used.shape)
+        whole[used] = values
+        parts = np.array_split(whole, PARTS, 1 - axis)
+        sums.append(np.stack([part.sum(1 - axis) for part in parts]))
+    product, square = sums
+    enough = square > 0.1 * square.mean()
+    factors = np.divide(product, square, where=enough, out=np.zeros(square.shape))
+    if smooth:
+        factors -= np.median(factors)
+    else:
+        # Those at the ends have none beside them on one side.
+        factors = (factors - uniform_filter1d(factors, BESIDE))[:, BESIDE // 2 : -(BESIDE // 2)]
+        if factors.shape[1] < 2:
+            return 0.0, TINY
+    total, own = factors.sum(0) ** 2, (factors**2).sum(0)
+    shared = float((total - own).mean()) / (PARTS * (PARTS - 1))
+    return shared, max((float(own.mean()) / PARTS - shared) / PARTS, TINY)
