@@ -204,8 +204,11 @@ class Level:
                 self.finest or settings.smoothness_of == "update"
             )
             change = FINE if last else ROUGH
+            # Of which nobody keeps a copy while the next one is found.
+            start = [u - about]
+            del u
             with solving(self.pair.grid, progress) as report:
-                u = about + multigrid(F, change=change, initial=u - about, report=report)
+                u = about + multigrid(F, change=change, initial=start.pop(), report=report)
         return Improved(u, alpha, F, chosen, factor)
 
     def _linearised(self, u: Array, still: bool, near: bool) -> Match:

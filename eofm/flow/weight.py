@@ -37,9 +37,9 @@ STIFF, UP = 1e-3, (1, 4)
 # Misfit, as a part of the least, up to which a weight that other scales ask for is as good.
 EQUAL = 1.1
 # Fewer blocks than these do not tell weights apart well; the finest scale, whose weight nothing
-# else tells, makes do with FEWEST. Where there are fewer than MANY, all are held out by turns; a
-# block of a volume holds eight times as much.
-BLOCKS, FEWEST, MANY = 20, 8, {2: 256, 3: 64}
+# else tells, makes do with FEWEST. Where there are fewer than MANY, all are held out by turns, and
+# one quarter alone from PLENTY on; a block of a volume holds eight times as much.
+BLOCKS, FEWEST, MANY, PLENTY = 20, 8, {2: 256, 3: 64}, {2: math.inf, 3: 256}
 # Pixels around a held-out block that are not used either: the noise of images that were
 # filtered is correlated, and would be fitted on both sides of the border.
 MARGIN = 2
@@ -286,9 +286,11 @@ def around(mask: Mask, margin: int) -> Mask:
 
 def folds(shape: tuple[int, ...], windows: int) -> tuple[int, ...]:
     """Quarters that are held out by turns."""
-    if math.prod(shape) < MANY[len(shape)] * BLOCK ** len(shape):
+    ndim = len(shape)
+    blocks = math.prod(shape) / BLOCK**ndim
+    if blocks < MANY[ndim]:
         return 0, 1, 2, 3
-    return (0, 2) if windows == 1 else (0,)
+    return (0, 2) if windows == 1 and blocks < PLENTY[ndim] else (0,)
 
 
 def _windows(match: Match) -> list[tuple[tuple[slice, ...], Array]]:

@@ -73,6 +73,9 @@ def _real(I: Array) -> Array:
 
 
 def _scaled(I: Array, low: float, high: float) -> Array:
+    """The image so that these are 0 and 1: itself if they are, for copies of volumes are large."""
+    if (low, high) == (0.0, 1.0) and I.dtype == precision(I.ndim):
+        return I
     # Integers would wrap around in their own differences.
     J = np.empty(I.shape, precision(I.ndim))
     np.subtract(I, low, out=J, dtype=np.float64, casting="same_kind")

@@ -4,7 +4,9 @@ import pytest
 from conftest import speckle
 
 import eofm
-from eofm.grid import inside
+from eofm.grid import inside, precision
+from eofm.imaging.gaussian import blur
+from eofm.imaging.intensity import normalise
 from eofm.imaging.splines import evaluate
 from eofm.settings import WARPING
 
@@ -134,3 +136,16 @@ def test_what_moves_into_a_dead_zone_carries_no_data(rng):
     below = np.s_[50:56, 30:66]
     errors = [np.hypot(*(v - u))[below].mean() for v in (masked, plain)]
     assert errors[0] < 3 * errors[1] + 0.01
+
+
+@pytest.mark.parametrize("shape", [(40, 44), (12, 20, 24)])
+def test_images_that_are_given_stay_as_they_are(rng, shape):
+    """Those between 0 and 1 are worked on without a copy."""
+    I = [blur(rng.uniform(size=shape), (1.0,) * len(shape)) for _ in range(2)]
+    low, high = min(J.min() for J in I), max(J.max() for J in I)
+    I = [((J - low) / (high - low)).astype(precision(len(shape))) for J in I]
+    before = [J.copy() for J in I]
+    assert all(J is K for J, K in zip(normalise(*I), I, strict=True))
+    for settings in (eofm.Estimation(), eofm.Estimation(method="paper", scales=1)):
+        eofm.estimate_displacement(*I, settings)
+    assert all((J == K).all() for J, K in zip(I, before, strict=True))
