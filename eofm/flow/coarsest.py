@@ -28,6 +28,8 @@ class Coarsest:
     alpha : float
     product : callable
         Of the grid's dimension, see :func:`eofm.flow.stencils.product`.
+    pointwise : ndarray
+        The :func:`pointwise_band` of the operator.
     precision : dtype
         Of the field that is given back.
     """
@@ -38,6 +40,7 @@ class Coarsest:
         spacing: tuple[float, ...],
         alpha: float,
         product: Product,
+        pointwise: Array,
         precision: DTypeLike = np.float64,
     ) -> None:
         free, bending = operator.free, operator.bending
@@ -45,7 +48,6 @@ class Coarsest:
         self.x = np.zeros((free.ndim, *(n + 4 for n in free.shape)), precision)
         # The smoothness term is that of all operators on the grid but for alpha, and needs more
         # combs: the pointwise term couples neighbours at most.
-        flat = axis_tables(free.shape, spacing, 0.0, bending)
         band = alpha * _smoothness(free.shape, spacing, bending, product)
         if not free.all():
             held = np.zeros(number.size, dtype=bool)
@@ -53,7 +55,7 @@ class Coarsest:
             for k, diagonal in enumerate(band):
                 diagonal[held | np.roll(held, -k)] = 0
             band[0, held] = 1.0
-        _add(band, operator.rounded(np.float64)._replace(axes=flat), product, 1)
+        band += pointwise
         # The larger bands of volumes BLAS would share among threads, with other sums.
         factorise = cholesky_banded if free.ndim == 2 else serial(cholesky_banded)
         self.factor = factorise(band, lower=True, check_finite=False)
@@ -64,6 +66,14 @@ class Coarsest:
         solution = cho_solve_banded((self.factor, True), order.ravel(), check_finite=False)
         inner(self.x).transpose(self.axes)[...] = solution.reshape(order.shape)
         return self.x
+
+
+def pointwise_band(operator: Operator, spacing: tuple[float, ...], product: Product) -> Array:
+    """Band of an operator but for the smoothness term."""
+    flat = axis_tables(operator.shape, spacing, 0.0, operator.bending)
+    band = np.zeros(_band(operator.shape, operator.bending))
+    _add(band, operator.rounded(np.float64)._replace(axes=flat), product, 1)
+    return band
 
 
 @lru_cache(16)

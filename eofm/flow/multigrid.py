@@ -26,7 +26,7 @@ from numpy.typing import DTypeLike
 
 from eofm.errors import InputError
 from eofm.flow import galerkin, galerkin3, stencils, stencils3
-from eofm.flow.coarsest import Coarsest
+from eofm.flow.coarsest import Coarsest, pointwise_band
 from eofm.flow.functional import Quadratic, pairs
 from eofm.flow.operator import (
     SC,
@@ -221,8 +221,31 @@ class Level:
 Levels = Level | Coarsest
 
 
-def hierarchy(F: Quadratic) -> Levels:
-    """The finest grid, linked to the coarser ones."""
+@dataclass
+class CoarseTerms:
+    """What hierarchies of one pointwise term share, whatever the weight of the smoothness term.
+
+    Attributes
+    ----------
+    energy : ndarray or None
+        Of the motions without smoothness energy.
+    terms : dict
+        A and G of each coarse grid, by the number of couplings and that of the grid.
+    bands : dict
+        That of the coarsest grid, by the number of couplings.
+    """
+
+    energy: Array | None = None
+    terms: dict[tuple[int, int], tuple[Real, Real]] = field(default_factory=dict)
+    bands: dict[int, Array] = field(default_factory=dict)
+
+
+def hierarchy(F: Quadratic, known: CoarseTerms | None = None) -> Levels:
+    """The finest grid, linked to the coarser ones.
+
+    ``known`` is what an F has left that differs in alpha and b only. It serves where all pixels are
+    free: the stiffness of others goes by alpha.
+    """
     operator = F.operator()
     stiffness, area = _stiffness(operator)
     A, free, own = operator.A, operator.free, operator.A.dtype
@@ -232,7 +255,10 @@ def hierarchy(F: Quadratic) -> Levels:
     del trace
     if contrast > CONTRAST:
         degree = high_degree
-    energies = np.linalg.eigvalsh(_rigid_energy(F, stiffness))
+    known = known if known is not None and free.all() else CoarseTerms()
+    if known.energy is None:
+        known.energy = _rigid_energy(F, stiffness)
+    energies = np.linalg.eigvalsh(known.energy)
     if not energies[0] > SINGULAR[own] * max(energies[-1], stiffness * area):
         raise InputError(
             "the functional has no unique minimiser: images, bubbles and edges leave a motion"
@@ -250,19 +276,27 @@ def hierarchy(F: Quadratic) -> Levels:
     while (shape := _coarser(operator.shape, spacing)) is not None:
         sides = list(zip(operator.shape[::-1], shape[::-1], strict=True))
         transfer = tuple(Between.of(n, coarse) for n, coarse in sides)
-        A, G = np.empty((len(A), *shape), own), np.empty((couplings, *shape), own)
-        COARSEN[free.ndim](A, G, operator, transfer)
+        terms = known.terms.get((couplings, len(grids)))
+        if terms is None:
+            A, G = np.empty((len(A), *shape), own), np.empty((couplings, *shape), own)
+            COARSEN[free.ndim](A, G, operator, transfer)
         spacing = tuple(
             h * (n - 1) / (coarse - 1) for h, (n, coarse) in zip(spacing, sides, strict=True)
         )
         axes = axis_tables(shape, spacing, F.alpha, operator.bending)
-        for component, axis in enumerate(axes):
-            A /= axis[M].astype(own).reshape(-1, *[1] * component)
+        if terms is None:
+            for component, axis in enumerate(axes):
+                A /= axis[M].astype(own).reshape(-1, *[1] * component)
+            known.terms[couplings, len(grids)] = terms = A, G
         rounded = tuple(between.rounded(precision) for between in transfer)
         grids.append((operator.rounded(precision), rounded))
-        operator = Operator(A, G, np.ones(shape, dtype=np.bool_), axes, operator.bending)
+        everywhere = np.ones(shape, dtype=np.bool_)
+        operator = Operator(terms[0], terms[1], everywhere, axes, operator.bending)
     product = LOOPS[free.ndim].product
-    top: Levels = Coarsest(operator, spacing, F.alpha, product, precision)
+    if couplings not in known.bands:
+        known.bands[couplings] = pointwise_band(operator, spacing, product)
+    band = known.bands[couplings]
+    top: Levels = Coarsest(operator, spacing, F.alpha, product, band, precision)
     for operator, transfer in reversed(grids):
         top = Level(operator, degree, visits, transfer, top)
     return top

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from eofm.flow.functional import Pointwise, Quadratic, unit
 from eofm.flow.matching import BLOCK, Match, held_out
-from eofm.flow.multigrid import multigrid
+from eofm.flow.multigrid import CoarseTerms, hierarchy, multigrid
 from eofm.grid import Array, Grid, Mask
 from eofm.settings import ALPHA
 
@@ -262,7 +262,7 @@ class Trial:
         self.counts = counts * (out & match.used)
         terms = match.density(about, ~around(out, margin))
         self.terms = Pointwise(terms.A + ridge * unit(terms.b), terms.b)
-        self.prescribed, self.v = prescribed, np.zeros_like(about)
+        self.prescribed, self.v, self.known = prescribed, np.zeros_like(about), CoarseTerms()
         single = terms.A.dtype == np.float32
         self.most = STIFFEST * first_alpha(match) if single else math.inf
 
@@ -270,7 +270,9 @@ class Trial:
         """Sum of the squared residual on the pixels that are held out, as often as each counts."""
         alpha = min(alpha, self.most)
         F = Quadratic(self.match.grid, self.terms, alpha, self.free, "bending")
-        self.v = multigrid(F.shifted(self.prescribed), change=ACCURACY[len(self.v)], initial=self.v)
+        F = F.shifted(self.prescribed)
+        levels = hierarchy(F, self.known)
+        self.v = multigrid(F, change=ACCURACY[len(self.v)], initial=self.v, levels=levels)
         r = self.match.residual(self.about + self.prescribed + self.v)
         return float(np.sum(self.counts * r**2))
 

@@ -13,7 +13,7 @@ from eofm.compiled import use_threads
 from eofm.errors import InputError
 from eofm.flow import sweeps
 from eofm.flow.functional import Pointwise, Quadratic, pairs
-from eofm.flow.multigrid import LOOPS, Level, NotConverged, hierarchy, multigrid
+from eofm.flow.multigrid import LOOPS, CoarseTerms, Level, NotConverged, hierarchy, multigrid
 from eofm.flow.operator import M
 from eofm.flow.sweeps import smooth
 from eofm.grid import Grid
@@ -379,3 +379,15 @@ def test_steps_that_go_together_are_those_one_by_one(shape, smoothness, from_zer
             results.append(smooth(sweep, *fields, b, range(1, degree + 1), from_zero, K))
         for one_by_one, at_once in zip(*results, strict=True):
             np.testing.assert_array_equal(at_once, one_by_one)
+
+
+@pytest.mark.parametrize("free", ["all", "rows"])
+@pytest.mark.parametrize("shape", [(21, 33), (9, 14, 17)])
+def test_coarse_terms_serve_any_weight(shape, free, rng):
+    """One hierarchy after the other, of few couplings and of many, corrects as by itself."""
+    known, F = CoarseTerms(), problem(shape, "bending", free=free)
+    for alpha in (1e3, 1e-2, 30.0, 1e-2):
+        G = replace(F, alpha=alpha)
+        b = rng.normal(size=(len(shape), *shape)).astype(G.operator().A.dtype)
+        alone, shared = hierarchy(G), hierarchy(G, known)
+        assert (alone.correct(b) == shared.correct(b)).all()
