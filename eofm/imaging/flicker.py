@@ -16,14 +16,16 @@ if TYPE_CHECKING:
 
 # Parts into which lines are cut to see whether they are alike all along, and power that the parts
 # share where there are such lines: as a part of what chance leaves in it, and of that of the image.
-# Without lines the first is 1 at most, but where images match so well that errors of interpolation
-# are all that is left; lines of 3 percent of an image's contrast have 2 to 30.
-PARTS, CLEAR, SEEN = 8, 4.0, 0.01**2
-# Least power, as a part of what chance leaves, that lines are given.
-FAINT = 1e-3
+# Without them the first is 0.2 at most, but where images match so well that errors of interpolation
+# are all that is left; lines of 3 percent of an image's contrast have 1 to 20.
+PARTS, CLEAR, SEEN = 8, 2.0, 0.01**2
 # Lines, of which the mean is taken off to see what differs from those beside: what changes smoothly
 # from line to line is shading.
 BESIDE = 15
+# Part of the lines that do not count, those with most in common: along a crack, a few have that.
+FEW = 0.1
+# Least power, as a part of what chance leaves, that lines are given.
+FAINT = 1e-3
 # Standard deviations beyond which a difference of the images says no more.
 FAR = 4.0
 # Least contrast of a line, as a part of the image's, when all are given the same.
@@ -145,7 +147,7 @@ def _power(
 ) -> tuple[float, float]:
     """Power of the factors of f in each line that its parts share, and what chance leaves in it.
 
-    Either of all of them, or only of what differs from the lines beside.
+    Either of all of them, or only of what differs from the lines beside, but for a few lines.
     """
     from scipy.ndimage import uniform_filter1d
 
@@ -166,5 +168,8 @@ def _power(
         if factors.shape[1] < 2:
             return 0.0, TINY
     total, own = factors.sum(0) ** 2, (factors**2).sum(0)
-    shared = float((total - own).mean()) / (PARTS * (PARTS - 1))
+    lines = np.sort(total - own)
+    if not smooth:
+        lines = lines[: lines.size - int(FEW * lines.size)]
+    shared = float(lines.mean()) / (PARTS * (PARTS - 1))
     return shared, max((float(own.mean()) / PARTS - shared) / PARTS, TINY)
