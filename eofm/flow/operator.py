@@ -71,7 +71,7 @@ class Operator(NamedTuple):
         Blocks ``G_pq``, if any; on the finest grid there are none. In images they couple a node
         and the next ones in the directions ``stencils.AHEAD``. In volumes those of a cell between
         nodes that differ along the same axes are equal: there are seven for each cell, in
-        the order of the numbers with a bit for each component.
+        the order of the numbers with a bit for each component. Zero where there is no such node.
     free : ndarray of bool, shape (n, m) or (l, n, m)
         False where K u is not wanted.
     axes : tuple of ndarray

@@ -153,7 +153,10 @@ def test_preconditioner_is_symmetric_and_positive(shape, spacing, smoothness, sc
 
 
 @pytest.mark.parametrize("smoothness", SMOOTHNESS)
-@pytest.mark.parametrize("shape", [(23, 31), (7, 9, 12), (4, 3, 300)])
+# Volumes of rows that go together, of longer ones, and of such that are cut into blocks.
+@pytest.mark.parametrize(
+    "shape", [(23, 31), (7, 9, 12), (4, 40, 9), (4, 3, 300), (4, 6, 130), (4, 3, 600)]
+)
 def test_product_is_that_of_the_matrix(shape, smoothness):
     F = problem(shape, smoothness, spacing=(1.5, 0.7, 1.1)[: len(shape)], free="pixels")
     u = np.random.default_rng(0).normal(size=F.terms.b.shape) * F.free
@@ -165,8 +168,12 @@ def test_product_is_that_of_the_matrix(shape, smoothness):
 
 
 @pytest.mark.parametrize(
-    "shape", [(33, 65), (34, 58), (41, 22), (17, 25, 33), (16, 19, 26), (33, 9, 12)]
-)
+    "shape",
+    [
+        (33, 65), (34, 58), (41, 22), (17, 25, 33), (16, 19, 26), (33, 9, 12), (9, 65, 17),
+        (9, 9, 1045),
+    ],
+)  # fmt: skip
 def test_coarse_grid_has_the_energy_of_what_it_interpolates(shape):
     """On nested grids; on others the energy may only be larger."""
     F = problem(shape, "gradient", image="bubbles", scale=1e4, free="all")
