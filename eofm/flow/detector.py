@@ -23,6 +23,10 @@ OWN, NONE, SEEN = 0.75, 0.4, 5e-4
 WITHOUT = 0.97
 # The same of lines that flicker, which a displacement may have followed to leave less.
 ALIKE = 1.01
+# How far fields of images without all that is the same along lines, and without what flickers, are
+# from each other at most, px, in the median: of images that show different things, lines explain
+# anything.
+AGREE = 0.5
 # Times that lines which flicker are taken off: contrast is to first order each time.
 PASSES = 3
 
@@ -80,8 +84,9 @@ def without_flicker(
     lines have one brightness and contrast, too; where structures lie along lines, that loses these.
     """
     unused = [resized(~live, dead.shape) for live in (found.pair.live, found.pair.live_after)]
-    there = Spline(unused[1].astype(found.u.dtype)).warp(found.u)[0] > 1 - LIVE
-    dead = dead | unused[0] | there
+    dead = dead | unused[0]
+    if unused[1].any():
+        dead = dead | (Spline(unused[1].astype(found.u.dtype)).warp(found.u)[0] > 1 - LIVE)
     seen, rest, used = _compared(images, dead, found.u)
     axes = flickers(seen, rest, used) if used.any() else ()
     if not axes:
@@ -91,7 +96,8 @@ def without_flicker(
     ways = [(_steady(images, dead, f.u, axes), f) for f in (found, even)]
     steady, _ = min(ways, key=lambda way: _left(way[0], dead, way[1].u))
     other = estimate(*steady)
-    if _left(steady, dead, other.u) > ALIKE * _left(steady, dead, found.u):
+    apart = float(np.median(np.hypot(*(other.u - even.u))))
+    if apart > AGREE or _left(steady, dead, other.u) > ALIKE * _left(steady, dead, found.u):
         return found
     return replace(other, lines=tuple(sorted({*found.lines, *axes})))
 

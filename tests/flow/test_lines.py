@@ -203,3 +203,13 @@ def test_level_lines_have_one_mean_and_one_contrast(rng):
     live = np.ma.masked_array(level(I, 0, dead), dead)
     np.testing.assert_allclose(live.mean(1), I[~dead].mean())
     np.testing.assert_allclose(live.std(1), live.std(1)[0])
+
+
+def test_lines_do_not_explain_images_that_show_different_things():
+    """Where structures are large and the image is small, parts of lines share much by chance."""
+    sample = eofm.Sample(height=40, width=60, compression=2)
+    phantom = eofm.Phantom(count=150, sigma=(1.5, 2.0), seed=1)
+    I1, I2, _ = eofm.make_phantom(eofm.true_field(sample), phantom)
+    found = eofm.estimate_displacement(I1, I2[::-1, ::-1])
+    assert found.lines == ()
+    assert found.trust.verdict != "good"
