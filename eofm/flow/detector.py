@@ -30,7 +30,7 @@ AGREE = 0.5
 # Times that lines which flicker are taken off: contrast is to first order each time.
 PASSES = 3
 
-Images = tuple[Array, Array]
+Both = tuple[Array, Array]
 
 
 def without_lines(
@@ -42,8 +42,8 @@ def without_lines(
 
 
 def without_lines_that_stay(
-    images: Images, dead: Mask, found: Estimate, estimate: Callable[[Array, Array], Estimate]
-) -> tuple[Estimate, Images]:
+    images: Both, dead: Mask, found: Estimate, estimate: Callable[[Array, Array], Estimate]
+) -> tuple[Estimate, Both]:
     """The estimate, or that of images without lines that stay, if less is left; and these images.
 
     Single lines first: where there are large structures, lines everywhere may be of these.
@@ -76,7 +76,7 @@ def without_lines_that_stay(
 
 
 def without_flicker(
-    images: Images, dead: Mask, found: Estimate, estimate: Callable[[Array, Array], Estimate]
+    images: Both, dead: Mask, found: Estimate, estimate: Callable[[Array, Array], Estimate]
 ) -> Estimate:
     """The estimate, or that of images without lines that flicker, if less of these is left.
 
@@ -102,14 +102,14 @@ def without_flicker(
     return replace(other, lines=tuple(sorted({*found.lines, *axes})))
 
 
-def _compared(images: Images, dead: Mask, u: Array) -> tuple[Array, Array, Mask]:
+def _compared(images: Both, dead: Mask, u: Array) -> tuple[Array, Array, Mask]:
     """What two images show after a displacement, but for its mean; what it leaves; and where."""
     rest, used, _ = left(*images, dead, u)
     before = images[0][used]
     return before - before.sum() / max(1, before.size) - rest / 2, rest, used
 
 
-def _steady(images: Images, dead: Mask, u: Array, axes: tuple[int, ...]) -> Images:
+def _steady(images: Both, dead: Mask, u: Array, axes: tuple[int, ...]) -> Both:
     """The images without lines that flicker along some axes, as a displacement tells them."""
     for axis in axes:
         for _ in range(PASSES):
@@ -117,7 +117,7 @@ def _steady(images: Images, dead: Mask, u: Array, axes: tuple[int, ...]) -> Imag
     return images
 
 
-def _left(images: Images, dead: Mask, u: Array) -> float:
+def _left(images: Both, dead: Mask, u: Array) -> float:
     """Standard deviation that a displacement leaves, as a part of the first image's."""
     return float(left(*images, dead, u)[0].std() / images[0].std())
 
@@ -131,7 +131,7 @@ def changes(I1: Array, I2: Array, dead: Mask, u: Array, doubted: tuple[Lines, ..
     Parameters
     ----------
     I1, I2 : ndarray
-        Images without the lines.
+        Both without the lines.
     """
     rest, used, gain = left(I1, I2, dead, u)
     if not used.any():

@@ -276,22 +276,21 @@ def hierarchy(F: Quadratic, known: CoarseTerms | None = None) -> Levels:
     while (shape := _coarser(operator.shape, spacing)) is not None:
         sides = list(zip(operator.shape[::-1], shape[::-1], strict=True))
         transfer = tuple(Between.of(n, coarse) for n, coarse in sides)
-        terms = known.terms.get((couplings, len(grids)))
-        if terms is None:
-            A, G = np.empty((len(A), *shape), own), np.empty((couplings, *shape), own)
-            COARSEN[free.ndim](A, G, operator, transfer)
         spacing = tuple(
             h * (n - 1) / (coarse - 1) for h, (n, coarse) in zip(spacing, sides, strict=True)
         )
         axes = axis_tables(shape, spacing, F.alpha, operator.bending)
-        if terms is None:
+        number = couplings, len(grids)
+        if number not in known.terms:
+            A, G = np.empty((len(A), *shape), own), np.empty((couplings, *shape), own)
+            COARSEN[free.ndim](A, G, operator, transfer)
             for component, axis in enumerate(axes):
                 A /= axis[M].astype(own).reshape(-1, *[1] * component)
-            known.terms[couplings, len(grids)] = terms = A, G
+            known.terms[number] = A, G
+        A, G = known.terms[number]
         rounded = tuple(between.rounded(precision) for between in transfer)
         grids.append((operator.rounded(precision), rounded))
-        everywhere = np.ones(shape, dtype=np.bool_)
-        operator = Operator(terms[0], terms[1], everywhere, axes, operator.bending)
+        operator = Operator(A, G, np.ones(shape, dtype=np.bool_), axes, operator.bending)
     product = LOOPS[free.ndim].product
     if couplings not in known.bands:
         known.bands[couplings] = pointwise_band(operator, spacing, product)

@@ -10,15 +10,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eofm.grid import Array, Mask
+from eofm.imaging.lines import PARTS, in_common
 
 if TYPE_CHECKING:
     from scipy import sparse
 
-# Parts into which lines are cut to see whether they are alike all along, and power that the parts
-# share where there are such lines: as a part of what chance leaves in it, and of that of the image.
-# Without them the first is 0.2 at most, but where images match so well that errors of interpolation
-# are all that is left; lines of 3 percent of an image's contrast have 1 to 20.
-PARTS, CLEAR, SEEN = 8, 2.0, 0.01**2
+# Power that parts of lines share where there are such lines: as a part of what chance leaves in it,
+# and of that of the image. Without them the first is 0.2 at most, but where images match so well
+# that errors of interpolation are all that is left; lines of 3 percent of an image's contrast have
+# 1 to 20.
+CLEAR, SEEN = 2.0, 0.01**2
 # Lines, of which the mean is taken off to see what differs from those beside: what changes smoothly
 # from line to line is shading.
 BESIDE = 15
@@ -167,9 +168,8 @@ def _power(
         factors = (factors - uniform_filter1d(factors, BESIDE))[:, BESIDE // 2 : -(BESIDE // 2)]
         if factors.shape[1] < 2:
             return 0.0, TINY
-    total, own = factors.sum(0) ** 2, (factors**2).sum(0)
-    lines = np.sort(total - own)
+    lines = in_common(factors, factors)
     if not smooth:
-        lines = lines[: lines.size - int(FEW * lines.size)]
-    shared = float(lines.mean()) / (PARTS * (PARTS - 1))
-    return shared, max((float(own.mean()) / PARTS - shared) / PARTS, TINY)
+        lines = np.sort(lines)[: lines.size - int(FEW * lines.size)]
+    shared = float(lines.mean())
+    return shared, max((float((factors**2).mean()) - shared) / PARTS, TINY)

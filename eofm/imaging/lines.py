@@ -125,7 +125,7 @@ def _all(means1: Array, means2: Array) -> tuple[Array, Array] | None:
     from scipy.ndimage import uniform_filter1d
 
     P1, P2 = (dct(means, norm="ortho")[:, 1:] for means in (means1, means2))
-    shared = (P1.sum(0) * P2.sum(0) - (P1 * P2).sum(0)) / (PARTS * (PARTS - 1))
+    shared = in_common(P1, P2)
     own = ((P1**2).mean(0) + (P2**2).mean(0)) / 2 - shared
     shared, chance = (uniform_filter1d(f, NEAR) for f in (shared, own / PARTS))
     chance = np.maximum(chance, TINY)
@@ -135,6 +135,11 @@ def _all(means1: Array, means2: Array) -> tuple[Array, Array] | None:
     share /= share + chance
     spectra = (np.concatenate([[0.0], share * P.mean(0)]) for P in (P1, P2))
     return _alike(*(idct(spectrum, norm="ortho") for spectrum in spectra))
+
+
+def in_common(P1: Array, P2: Array) -> Array:
+    """Mean product of two different parts: what chance puts in each of them averages out."""
+    return (P1.sum(0) * P2.sum(0) - (P1 * P2).sum(0)) / (PARTS * (PARTS - 1))
 
 
 def _alike(p1: Array, p2: Array) -> tuple[Array, Array]:
