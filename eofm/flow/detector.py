@@ -38,7 +38,7 @@ def without_lines(
 ) -> Estimate:
     """The estimate, or that of images without lines, if less of these is left."""
     found, images = without_lines_that_stay((I1, I2), dead, estimate(I1, I2), estimate)
-    return without_flicker(images, dead, found, estimate) if I1.ndim == 2 else found
+    return without_flicker(images, dead, found, estimate)
 
 
 def without_lines_that_stay(
@@ -96,7 +96,7 @@ def without_flicker(
     ways = [(_steady(images, dead, f.u, axes), f) for f in (found, even)]
     steady, _ = min(ways, key=lambda way: _left(way[0], dead, way[1].u))
     other = estimate(*steady)
-    apart = float(np.median(np.hypot(*(other.u - even.u))))
+    apart = float(np.median(np.linalg.norm(other.u - even.u, axis=0)))
     if apart > AGREE or _left(steady, dead, other.u) > ALIKE * _left(steady, dead, found.u):
         return found
     return replace(other, lines=tuple(sorted({*found.lines, *axes})))

@@ -50,7 +50,7 @@ class Estimate:
         Those whose motion was stated.
     lines : tuple of int
         Axes of the images along which lines of a detector, or lines that flicker, were taken off:
-        0 for rows and 1 for columns of an image.
+        0 for rows and 1 for columns of an image, 0 for slices of a volume.
     """
 
     u: Array

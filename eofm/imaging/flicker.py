@@ -1,8 +1,9 @@
 """Lines that flicker: rows or columns whose brightness or contrast is another one in each image.
 
-A-lines of a source whose power varies, rows of a camera whose gain does: what a line adds, or is
-multiplied by, is not that of the line beside it, and changes from image to image. A displacement
-that follows it is wrong all along the line.
+A-lines of a source whose power varies, rows of a camera whose gain does, slices of a volume that
+are scanned one after the other: what a line adds, or is multiplied by, is not that of the line
+beside it, and changes from image to image. A displacement that follows it is wrong all along the
+line. Lines of a volume are its slices across an axis.
 """
 
 from typing import TYPE_CHECKING
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eofm.grid import Array, Mask
-from eofm.imaging.lines import PARTS, in_common
+from eofm.imaging.lines import PARTS, in_common, within
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -20,8 +21,8 @@ if TYPE_CHECKING:
 # that errors of interpolation are all that is left; lines of 3 percent of an image's contrast have
 # 1 to 20.
 CLEAR, SEEN = 2.0, 0.01**2
-# Lines, of which the mean is taken off to see what differs from those beside: what changes smoothly
-# from line to line is shading.
+# Lines, of which the mean is taken off to see what differs from those beside, or half of all of
+# them: what changes smoothly from line to line is shading.
 BESIDE = 15
 # Part of the lines that do not count, those with most in common: along a crack, a few have that.
 FEW = 0.1
@@ -44,7 +45,7 @@ def flickers(seen: Array, rest: Array, used: Mask) -> tuple[int, ...]:
     seen, rest : ndarray, shape (N,)
         What both images show after a displacement, and what it leaves of their difference, at the
         N pixels that are ``used``.
-    used : ndarray of bool, shape (height, width)
+    used : ndarray of bool, shape (height, width) or (depth, height, width)
     """
     rest, axes = _near(rest), []
     for axis in range(used.ndim):
@@ -62,12 +63,12 @@ def level(I: Array, axis: int, dead: Mask) -> Array:
     Parameters
     ----------
     axis : int
-        Along which lines follow each other: 0 for rows, 1 for columns.
+        Along which lines follow each other: 0 for rows of an image, 1 for columns.
     """
-    live = ~dead
-    counts = np.maximum(live.sum(1 - axis, keepdims=True), 1)
-    off = I - (I * live).sum(1 - axis, keepdims=True) / counts
-    contrast = np.sqrt((off**2 * live).sum(1 - axis, keepdims=True) / counts)
+    live, along = ~dead, within(I.shape, axis)
+    counts = np.maximum(live.sum(along, keepdims=True), 1)
+    off = I - (I * live).sum(along, keepdims=True) / counts
+    contrast = np.sqrt((off**2 * live).sum(along, keepdims=True) / counts)
     usual = float(np.median(contrast))
     off *= usual / np.maximum(contrast, LEAST * usual + TINY)
     return off + I.mean(where=live)
@@ -84,10 +85,10 @@ def without_changes(
 
     Parameters
     ----------
-    images : pair of ndarray, shape (height, width)
+    images : pair of ndarray, shape (height, width) or (depth, height, width)
     seen, rest, used
         See :func:`flickers`.
-    u : ndarray, shape (2, height, width)
+    u : ndarray, shape (2, height, width) or (3, depth, height, width)
         The displacement, px.
     axis : int
     """
@@ -103,7 +104,7 @@ def without_changes(
         ridge += 2 * [own / max(shared / 2, FAINT * chance, TINY)]
     at: Array = np.indices(used.shape, sparse=True)[axis]
     here = np.broadcast_to(at, used.shape)[used].astype(float)
-    there = (at + u[1 - axis])[used].clip(0, n - 1)
+    there = (at + u[used.ndim - 1 - axis])[used].clip(0, n - 1)
     K, b = sparse.diags_array(np.repeat(ridge, n)).tocsr(), np.zeros(4 * n)
     for first in range(0, rest.size, CHUNK):
         some = slice(first, first + CHUNK)
@@ -112,8 +113,7 @@ def without_changes(
         B = B.tocsr()
         K, b = K + B.T @ B, b + B.T @ rest[some]
     profiles, _ = cg(K, b, rtol=1e-6, maxiter=500)
-    shape = (n, 1) if axis == 0 else (1, n)
-    profiles = profiles.reshape(2, 2, *shape)
+    profiles = np.expand_dims(profiles.reshape(2, 2, n), [2 + k for k in within(used.shape, axis)])
     steady = []
     for I, added, changed in zip(images, *profiles, strict=True):
         middle = I.mean(where=used)
@@ -152,12 +152,11 @@ def _power(
     """
     from scipy.ndimage import uniform_filter1d
 
-    sums = []
+    sums, along = [], within(used.shape, axis)
     for values in (rest * f, f * f):
         whole = np.zeros(used.shape)
         whole[used] = values
-        parts = np.array_split(whole, PARTS, 1 - axis)
-        sums.append(np.stack([part.sum(1 - axis) for part in parts]))
+        sums.append(np.stack([part.sum(along) for part in np.array_split(whole, PARTS, along[0])]))
     product, square = sums
     enough = square > 0.1 * square.mean()
     factors = np.divide(product, square, where=enough, out=np.zeros(square.shape))
@@ -165,9 +164,9 @@ def _power(
         factors -= np.median(factors)
     else:
         # Those at the ends have none beside them on one side.
-        factors = (factors - uniform_filter1d(factors, BESIDE))[:, BESIDE // 2 : -(BESIDE // 2)]
-        if factors.shape[1] < 2:
-            return 0.0, TINY
+        beside = min(BESIDE, factors.shape[1] // 2 | 1)
+        off = factors - uniform_filter1d(factors, beside)
+        factors = off[:, beside // 2 : off.shape[1] - beside // 2]
     lines = in_common(factors, factors)
     if not smooth:
         lines = np.sort(lines)[: lines.size - int(FEW * lines.size)]

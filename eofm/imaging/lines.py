@@ -81,19 +81,18 @@ def lines(means: Sequence[tuple[Array, Array]], single: bool) -> tuple[Lines, ..
 
 def _means(I: Array, dead: Mask, axis: int) -> Array:
     """Means across each of some parts of the image, at each place along an axis."""
-    others = tuple(k for k in range(I.ndim) if k != axis)
-    cut = max(others, key=lambda k: I.shape[k])
+    along = within(I.shape, axis)
     used = None if not dead.any() else ~dead
     middle = I.mean(where=True if used is None else used)
     means, counts = [], []
-    for part in np.array_split(np.arange(I.shape[cut]), PARTS):
-        at = (*[slice(None)] * cut, slice(part[0], part[-1] + 1) if part.size else slice(0))
+    for part in np.array_split(np.arange(I.shape[along[0]]), PARTS):
+        at = (*[slice(None)] * along[0], slice(part[0], part[-1] + 1) if part.size else slice(0))
         where = True if used is None else used[at]
-        counts.append(np.broadcast_to(where, I[at].shape).sum(others))
-        total = I[at].sum(others, dtype=np.float64, where=where) - counts[-1] * middle
+        counts.append(np.broadcast_to(where, I[at].shape).sum(along))
+        total = I[at].sum(along, dtype=np.float64, where=where) - counts[-1] * middle
         means.append(total / np.maximum(counts[-1], 1))
     # Saturated lines are of one value: nothing shows below.
-    told = (np.sum(counts, axis=0) > 0) & (I.min(others) < I.max(others))
+    told = (np.sum(counts, axis=0) > 0) & (I.min(along) < I.max(along))
     if not told.any():
         return np.zeros((PARTS, told.size))
     places = np.arange(told.size)
@@ -135,6 +134,11 @@ def _all(means1: Array, means2: Array) -> tuple[Array, Array] | None:
     share /= share + chance
     spectra = (np.concatenate([[0.0], share * P.mean(0)]) for P in (P1, P2))
     return _alike(*(idct(spectrum, norm="ortho") for spectrum in spectra))
+
+
+def within(shape: tuple[int, ...], axis: int) -> tuple[int, ...]:
+    """Axes of an image in which its lines lie that follow each other along one; longest first."""
+    return tuple(sorted(set(range(len(shape))) - {axis}, key=lambda k: -shape[k]))
 
 
 def in_common(P1: Array, P2: Array) -> Array:

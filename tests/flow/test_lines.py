@@ -164,6 +164,30 @@ def test_lines_that_flicker_are_taken_off(kind, axis):
     assert found.trust.verdict == "good"
 
 
+@pytest.mark.parametrize("axis", [0, 2])
+def test_slices_that_flicker_are_taken_off(rng, axis):
+    shape = (14, 30, 33)
+    x3, x2, x1 = np.mgrid[: shape[0], : shape[1], : shape[2]]
+    u = np.stack([0.4 + 0.02 * x1, 1 - 0.03 * x2, 0.3 * np.sin(x2 / 12) + 0.01 * x3])
+    look = eofm.Phantom(count=500, sigma=(1.3, 1.3), seed=2)
+    V1, V2, _ = eofm.make_phantom(u.astype(np.float32), look)
+
+    def error(V1, V2):
+        found = eofm.estimate_displacement(V1, V2, eofm.Estimation(alpha=1.0))
+        return np.linalg.norm(found.u - u, axis=0).mean(), found
+
+    def flickering(V):
+        gain = 1 + 0.15 * rng.normal(size=shape[axis])
+        return (V * np.expand_dims(gain, [k for k in range(3) if k != axis])).astype(np.float32)
+
+    clean, steady = error(V1, V2)
+    off, found = error(flickering(V1), flickering(V2))
+    assert (steady.lines, found.lines) == ((), (axis,))
+    assert clean < 0.015
+    assert off < 0.03
+    assert found.trust.verdict == "good"
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.05])
 def test_no_line_flickers_in_speckle_or_in_layers_that_move(rng, noise):
     x2 = np.arange(SHAPE[0], dtype=float)[:, None]
