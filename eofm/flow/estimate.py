@@ -20,7 +20,7 @@ from eofm.flow.pyramid import largest_small
 from eofm.flow.start import alike, correlation, details, match_blocks, ratio_left, unlike
 from eofm.flow.weight import around
 from eofm.grid import Array, Mask, componentwise, unit_spacing
-from eofm.imaging.intensity import normalise, normalise_locally
+from eofm.imaging.intensity import normalise, normalise_locally, real
 from eofm.imaging.printed import frames
 from eofm.imaging.splines import resize_field
 from eofm.settings import Estimation
@@ -75,8 +75,8 @@ def estimate_displacement(
     Raises
     ------
     InputError
-        If the images are constant, too small for the scales, or differ in size from
-        each other, the background or the dead zones, or a bubble lies outside of them.
+        If the images are constant, too small for the scales, or no numbers, or what is known
+        does not fit them.
 
     Notes
     -----
@@ -104,6 +104,7 @@ def estimate_displacement(
     >>> bool(abs(found.u - u).max() < 0.05)
     True
     """
+    I1, I2 = real(I1), real(I2)
     known.check(I1, I2)
     if not settings.robust:
         return _estimate(I1, I2, settings, known, progress)

@@ -1,5 +1,6 @@
 """What an estimate found, and what its images say of it: verdict and error bars."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,6 +13,7 @@ from eofm.flow.matching import Match
 from eofm.flow.pair import ImagePair
 from eofm.flow.trust import Trust, judge
 from eofm.flow.uncertainty import Errors
+from eofm.flow.weight import reach
 from eofm.grid import Array, Edge, Mask, componentwise
 from eofm.imaging.gaussian import blur
 from eofm.imaging.splines import resize, resize_field
@@ -93,8 +95,23 @@ class Estimate:
         pair = replace(self.pair, robust=False)
         match = pair.linearise(self.lengths)
         samples = pair.grid.samples(self.lengths)
-        trust = judge(pair.I1, pair.I1 + match.r, match.used, samples, self.edges)
+        warped = pair.I1 + match.r
+        trust = judge(pair.I1, warped, match.used, samples, self.edges, self.spread)
         return trust.on(self.u.shape[1:])
+
+    @property
+    def spread(self) -> float:
+        """About how far the images leave the displacement open, px, without any draw.
+
+        The noise over the gradient, in the mean of the pixels over which the weight smooths: once
+        to twice the median length of the error bars.
+        """
+        match, ndim = self.match, self.pair.grid.ndim
+        if self.functional.smoothness != "bending" or not match.strength:
+            return 0.0
+        return float(
+            match.noise / math.sqrt(match.strength) / reach(match, self.alpha) ** (ndim / 2)
+        )
 
     def deviation(self, samples: int = 32, seed: int = 0) -> Array:
         """Return the standard deviation of the displacement at each pixel, px.

@@ -1,5 +1,6 @@
 """What is known of a pair of images beside them."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
@@ -7,11 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eofm.errors import InputError
-from eofm.grid import Array, Edge, Mask, faces, inside
+from eofm.grid import FACES, Array, Edge, Mask, faces, inside
 from eofm.imaging.splines import warp_field
 
 if TYPE_CHECKING:
     import pandas as pd
+
+# Numbers of channels of colour images, and of times that a volume so narrow would be deeper.
+COLOURS, FLAT = (3, 4), 5
+# Largest ratio of two sides of a pixel.
+LONGEST = 100.0
 
 
 @dataclass(frozen=True)
@@ -27,7 +33,7 @@ class Known:
         The field u_bg of eq. (Ansatz), px; without it u_bg = 0.
     edges : mapping of ndarray, shape (2, n) or (3, n, m)
         Motion ``g`` of the pixels of edges, or of faces of a volume, px, eq. (bdc_Dirichlet);
-        n = 1 is constant.
+        n is the number of pixels, or 1 if that is constant.
     dead : ndarray of bool, of the images' shape, optional
         Pixels that carry no data, in both images.
     outside : tuple of {"top", "bottom", "left", "right"}
@@ -58,23 +64,31 @@ class Known:
         Raises
         ------
         InputError
-            If the images, the background and the dead zones differ in size, or an edge is
-            none of theirs, or the size of a pixel lacks a side.
+            If the images are no images or volumes of one size, or the background, the dead zones
+            or the motion of an edge is no field, mask or motion of theirs; see :meth:`sides`, too.
         """
-        sizes = {I1.shape, I2.shape}
-        sizes |= set() if self.background is None else {self.background.shape[1:]}
-        sizes |= set() if self.dead is None else {self.dead.shape}
-        if len(sizes) > 1:
-            listed = ", ".join(" x ".join(map(str, size)) for size in sorted(sizes))
+        shape, ndim = I1.shape, I1.ndim
+        if strange := {I1.ndim, I2.ndim} - {2, 3}:
+            wrong = shape if ndim in strange else I2.shape
+            raise InputError(f"wanted greyscale images or volumes, got arrays of shape {wrong}")
+        if I1.shape != I2.shape:
+            listed = " and ".join(" x ".join(map(str, I.shape)) for I in (I1, I2))
+            raise InputError(f"the images differ in size ({listed} px); crop or resample them")
+        if ndim == 3 and shape[-1] in COLOURS and min(shape[:2]) > FLAT * shape[-1]:
             raise InputError(
-                f"images, background and dead zones differ in size ({listed} px);"
-                " crop or resample them to one"
+                f"an array of shape {shape} looks like a colour image; give one of its channels"
             )
-        if I1.ndim not in (2, 3):
-            raise InputError(f"wanted greyscale images or volumes, got arrays of shape {I1.shape}")
-        self.sides(I1.ndim)
-        if strange := sorted(set(self.edges) - set(faces(I1.ndim))):
-            raise InputError(f"{strange[0]}: is an edge of volumes only; leave it out")
+        self.sides(ndim)
+        if self.background is not None:
+            _numbers("background", self.background, (ndim, *shape))
+        if self.dead is not None:
+            _mask(self.dead, shape)
+        for edge, motion in self.edges.items():
+            if edge not in faces(ndim):
+                known = ", ".join(faces(ndim))
+                what = "a face of volumes" if edge in FACES else "no edge"
+                raise InputError(f"{edge}: is {what}; those of these images are {known}")
+            _numbers(edge, motion, (ndim, *FACES[edge].sides(shape)), (ndim, *[1] * (ndim - 1)))
 
     def sides(self, ndim: int) -> tuple[float, ...]:
         """Sides of a pixel of an image or a volume, in the unit of ``pixel_size``.
@@ -82,14 +96,29 @@ class Known:
         Raises
         ------
         InputError
-            If one is missing.
+            If one is missing, or they are no lengths, or one is many times as long as another.
         """
-        if len(self.pixel_size) < ndim:
+        try:
+            sides = tuple(float(side) for side in self.pixel_size)
+        except (TypeError, ValueError):
+            sides = ()
+        if len(sides) == 2 < ndim:
             raise InputError(
                 "the elevational size of the voxels is missing; say all three (lateral, axial,"
                 " elevational)"
             )
-        return self.pixel_size[:ndim]
+        if len(sides) not in {ndim, 3} or not all(0 < side < math.inf for side in sides):
+            raise InputError(
+                f"pixel_size: wanted positive lengths (lateral, axial), of voxels (lateral, axial,"
+                f" elevational), got {self.pixel_size}"
+            )
+        sides = sides[:ndim]
+        if max(sides) > LONGEST * min(sides):
+            raise InputError(
+                f"pixel_size: sides of {max(sides):g} and {min(sides):g} differ by more than"
+                f" {LONGEST:g} times; check their unit, or resample the images"
+            )
+        return sides
 
     def dead_on(self, shape: tuple[int, ...]) -> Mask:
         """Return the pixels that carry no data, of images of a shape; none if not stated."""
@@ -134,3 +163,28 @@ class Known:
             background=None if u_bg is None else -warp_field(u_bg, -u_bg),
             edges={edge: -g for edge, g in self.edges.items()},
         )
+
+
+def _numbers(name: str, values: Array, *shapes: tuple[int, ...]) -> None:
+    """Refuse what is no array of finite numbers whose sides are those of one of some shapes."""
+    values = np.asarray(values)
+    sides = list(zip(*shapes, strict=True))
+    fits = len(sides) == values.ndim and all(map(tuple.__contains__, sides, values.shape))
+    if not fits or values.dtype.kind not in "iuf":
+        wanted = " or ".join(map(str, shapes))
+        raise InputError(
+            f"{name}: wanted real numbers of shape {wanted}, got {values.dtype} of {values.shape}"
+        )
+    if not np.isfinite(values).all():
+        raise InputError(f"{name}: has NaN or infinite values; replace them")
+
+
+def _mask(dead: Mask, shape: tuple[int, ...]) -> None:
+    """Refuse what is no mask of images of a shape, or leaves nothing."""
+    values = np.asarray(dead)
+    if values.dtype != np.bool_:
+        raise InputError(f"dead: wanted a mask of True and False, got {values.dtype}; compare it")
+    if values.shape != shape:
+        raise InputError(f"dead: has the shape {values.shape}, but the images have {shape}")
+    if values.all():
+        raise InputError("dead: the mask leaves no pixel; is it the wrong way round?")

@@ -23,8 +23,9 @@ Verdict = Literal["good", "doubtful", "failed"]
 AGREED = 0.75, 0.35
 # What else raises doubts: the share of windows that contradict, the share that agree in a part of
 # the image, the median correlation, the drift of a part in px, the share of pixels that are folded
-# over, and that carry data.
+# over, and that carry data; and how far the images leave the motion open, px.
 CONTRADICTED, PARTLY, CORRELATED, DRIFTED, FOLDED, USED = 0.05, 0.5, 0.7, 0.25, 0.005, 0.1
+OPEN = 0.3
 # Rows from an edge whose line tells where the images would have it, and how far off it may be, px.
 ROWS, JUMP = (8, 24), 0.5
 # Slices, or rows, whose gradients are taken at once.
@@ -111,7 +112,14 @@ def _determinant(J: list[list[Array]]) -> Array:
     return reduce(np.add, terms)
 
 
-def judge(I1: Array, warped: Array, used: Mask, u: Array, edges: Collection[Edge] = ()) -> Trust:
+def judge(
+    I1: Array,
+    warped: Array,
+    used: Mask,
+    u: Array,
+    edges: Collection[Edge] = (),
+    spread: float = 0.0,
+) -> Trust:
     """Verdict on a displacement.
 
     Parameters
@@ -124,6 +132,8 @@ def judge(I1: Array, warped: Array, used: Mask, u: Array, edges: Collection[Edge
         In px.
     edges : collection of str
         Those whose motion was stated.
+    spread : float
+        About how far the images leave the displacement open, px.
     """
     windows = correlate(I1, warped, used)
     known = np.isfinite(windows.here)
@@ -139,6 +149,12 @@ def judge(I1: Array, warped: Array, used: Mask, u: Array, edges: Collection[Edge
     }
     failed = _failures(**shares)
     doubts = [] if failed else _doubts(**shares)
+    # A field that follows noise makes windows agree, too.
+    if spread > OPEN:
+        doubts.append(
+            f"the images leave the motion open by {spread:.1f} px or so; average frames, press in"
+            " smaller steps, or state edges or a background"
+        )
     doubts += _contradicted(windows, u, edges)
     if np.allclose(I1, warped, atol=SAME) and np.allclose(u, 0, atol=SAME):
         doubts.append(SAME_IMAGES)

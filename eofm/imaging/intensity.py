@@ -16,6 +16,9 @@ from eofm.settings import LARGEST, LEAST
 # amplitudes and 1 for intensities; how fast it grows with their mean, which is not at all after a
 # logarithm; and the range of the means, as a ratio: 15 dB.
 BLOCK, CONTRAST, GROWTH, RANGE = 8, (0.4, 1.3), 0.75, 10 ** (15 / 20)
+# Smallest and largest differences of intensities in images and in volumes, whose squares are summed
+# in single precision.
+RANGES = {2: (LEAST, LARGEST), 3: (1e-15, 1e15)}
 # Slices of a volume, and blocks, that suffice to tell.
 SLICES, ENOUGH = 16, 64
 # Numbers whose sums are taken at once.
@@ -43,7 +46,7 @@ def normalise(
     InputError
         If these are not two finite greyscale images or volumes of one size, or one is constant.
     """
-    I1, I2 = (_real(I) for I in (I1, I2))
+    I1, I2 = (real(I) for I in (I1, I2))
     if I1.ndim not in (2, 3) or I1.shape != I2.shape:
         kinds = {2: "greyscale images", 3: "volumes"}
         wanted = kinds.get(I1.ndim if I1.ndim == I2.ndim else 0, "greyscale images or volumes")
@@ -59,17 +62,31 @@ def normalise(
                 " motion to see; check that the right file was given"
             )
     low, high = limits or (min(extremes)[0], max(high for _, high in extremes))
-    if not LEAST <= high / 2 - low / 2 <= LARGEST:
+    least, largest = RANGES[I1.ndim]
+    if not least <= high / 2 - low / 2 <= largest:
         raise InputError(f"intensities from {low:g} to {high:g} are lost in rounding; scale them")
     return _scaled(I1, low, high), _scaled(I2, low, high)
 
 
-def _real(I: Array) -> Array:
-    """Numbers that are ordered."""
+def real(I: Array) -> Array:
+    """An image as an array of numbers to compute with.
+
+    Raises
+    ------
+    InputError
+        If its values are complex, masked or no numbers.
+    """
     if np.iscomplexobj(I):
         raise InputError("an image holds complex values; give their amplitude, abs(I)")
-    I = np.asarray(I)
-    return I if I.dtype.kind in "iuf" else np.asarray(I, dtype=np.float64)
+    if np.ma.is_masked(I):
+        raise InputError("an image has masked values; fill them, and give the mask as dead pixels")
+    try:
+        I = np.asarray(I)
+        # Neither differences of large integers nor long numbers fit the kernels.
+        plain = I.dtype.kind in "iuf" and I.dtype.itemsize < np.dtype(np.int64).itemsize
+        return I if plain or I.dtype == np.float64 else I.astype(np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError("an image holds something else than numbers; read it first") from error
 
 
 def _scaled(I: Array, low: float, high: float) -> Array:

@@ -98,10 +98,60 @@ def test_pixels_that_leave_the_image_do_no_harm(rng):
 def test_sizes_must_agree(rng):
     with pytest.raises(eofm.InputError, match="differ in size"):
         eofm.estimate_displacement(np.eye(20), np.eye(21))
-    with pytest.raises(eofm.InputError, match="differ in size"):
+    with pytest.raises(eofm.InputError, match="background: wanted"):
         eofm.estimate_displacement(
             np.eye(20), np.eye(20), known=eofm.Known(background=np.zeros((2, 20, 21)))
         )
+
+
+@pytest.mark.parametrize(
+    ("known", "message"),
+    [
+        ({"pixel_size": 2.0}, "pixel_size: wanted positive lengths"),
+        ({"pixel_size": (1.0, -1.0)}, "pixel_size: wanted positive lengths"),
+        ({"pixel_size": (1.0, np.nan)}, "pixel_size: wanted positive lengths"),
+        ({"pixel_size": (1.0, 1.0, 1.0, 1.0)}, "pixel_size: wanted positive lengths"),
+        ({"pixel_size": (1.0, 200.0)}, "200 and 1 differ by more than 100 times"),
+        ({"dead": np.zeros((20, 24))}, "dead: wanted a mask of True and False, got float64"),
+        ({"dead": np.zeros((24, 20), dtype=bool)}, r"dead: has the shape \(24, 20\)"),
+        ({"dead": np.ones((20, 24), dtype=bool)}, "dead: the mask leaves no pixel"),
+        ({"background": np.full((2, 20, 24), np.inf)}, "background: has NaN or infinite values"),
+        ({"background": np.zeros((20, 24, 2))}, "background: wanted real numbers"),
+        ({"edges": {"left": np.zeros((2, 24))}}, r"left: wanted real numbers of shape \(2, 20\)"),
+        ({"edges": {"upper": np.zeros((2, 1))}}, "upper: is no edge"),
+    ],
+)
+def test_what_is_known_has_to_fit(rng, known, message):
+    I1, I2 = rng.uniform(size=(2, 20, 24))
+    with pytest.raises(eofm.InputError, match=message):
+        eofm.estimate_displacement(I1, I2, known=eofm.Known(**known))
+
+
+@pytest.mark.parametrize(
+    ("image", "message"),
+    [
+        (None, "arrays of shape"),
+        ([["a", "b"]], "something else than numbers"),
+        (np.ma.masked_less(np.arange(600.0).reshape(20, 30), 5), "masked values"),
+        (np.ones((20, 30), dtype=complex), "complex"),
+    ],
+)
+def test_images_have_to_be_numbers(image, message):
+    with pytest.raises(eofm.InputError, match=message):
+        eofm.estimate_displacement(image, image)
+
+
+@pytest.mark.parametrize("kind", [np.longdouble, np.int64, object, list])
+def test_numbers_of_any_kind_are_read(rng, kind):
+    I1, I2 = rng.integers(0, 255, (2, 20, 24))
+    given = (
+        ([list(map(list, I)) for I in (I1, I2)])
+        if kind is list
+        else (I1.astype(kind), I2.astype(kind))
+    )
+    settings = eofm.Estimation(alpha=1.0)
+    found = eofm.estimate_displacement(*given, settings)
+    np.testing.assert_array_equal(found.u, eofm.estimate_displacement(I1, I2, settings).u)
 
 
 @pytest.mark.parametrize("row", [(200, 5, 0, 0), (5, 5, 1e9, 0), (-1, 5, 0, 0)])

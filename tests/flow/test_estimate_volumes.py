@@ -174,8 +174,13 @@ def test_what_does_not_fit_is_refused(pair):
         ((I1, I2[0]), eofm.Known(), "differ in size"),
         ((I1, I2), eofm.Known(pixel_size=(3.0, 6.0)), "elevational size"),
         ((I1, I2), eofm.Known(bubbles=table), "column x3 is missing"),
-        ((I1[0], I2[0]), eofm.Known(edges={"front": u[:2, 0]}), "front: is an edge of volumes"),
+        ((I1[0], I2[0]), eofm.Known(edges={"front": u[:2, 0]}), "front: is a face of volumes"),
         ((I1[None], I2[None]), eofm.Known(), "arrays of shape"),
+        ((I1[..., :3], I2[..., :3]), eofm.Known(), "looks like a colour image"),
+        ((1e18 * I1, I2), eofm.Known(), "lost in rounding"),
+        ((I1, I2), eofm.Known(edges={"front": u[:, 0, :5]}), r"front: wanted .*\(3, 34, 41\)"),
+        ((I1, I2), eofm.Known(edges={"up": np.zeros((3, 1, 1))}), "up: is no edge"),
+        ((I1, I2), eofm.Known(background=u[:2]), "background: wanted"),
     ):
         with pytest.raises(InputError, match=message):
             eofm.estimate_displacement(*images, known=known)

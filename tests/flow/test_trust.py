@@ -131,3 +131,16 @@ def test_sizes(shape, rng):
     trust = judge(I, I, np.ones(shape, dtype=bool), np.full((2, *shape), 1e-3))
     assert trust.map.shape == shape
     assert trust.agreeing == 1
+
+
+@pytest.mark.parametrize("alpha", [None, 0.1, 0.01])
+def test_a_field_that_follows_noise_is_doubtful(moved, rng, alpha):
+    """Windows agree all the same, for it has done its best to make them alike."""
+    I1, I2, u = moved
+    noisy = (I + rng.normal(0, 0.05, SHAPE) for I in (I1, I2))
+    found = eofm.estimate_displacement(*noisy, eofm.Estimation(alpha=alpha))
+    bars = np.median(np.hypot(*found.deviation(8)))
+    assert 0.8 * bars < found.spread < 2.5 * bars
+    follows = alpha == 0.01
+    assert (np.hypot(*(found.u - u)).mean() > 0.2) == follows
+    assert any("leave the motion open" in reason for reason in found.trust.reasons) == follows
