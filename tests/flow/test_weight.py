@@ -10,7 +10,7 @@ from eofm.flow.matching import Match, held_out
 from eofm.flow.multigrid import multigrid
 from eofm.flow.pair import ImagePair
 from eofm.flow.roughness import ease, squared_bending
-from eofm.flow.weight import choose_alpha, drawn, first_alpha
+from eofm.flow.weight import STIFFEST, choose_alpha, drawn, first_alpha
 from eofm.grid import Grid
 from eofm.imaging.gaussian import blur
 from eofm.settings import Estimation, Phantom
@@ -97,8 +97,11 @@ def test_weights_of_volumes_end_where_rounding_would_outweigh_the_images():
     u, free = np.zeros((3, *shape), np.float32), np.ones(shape, dtype=bool)
     g, r = (rng.normal(size=f.shape).astype(np.float32) for f in (u, u[0]))
     match = Match(Grid(shape), u, g, r, free)
-    start = 3.0**8 * first_alpha(match)
-    assert np.isfinite(choose_alpha(match, u, u, free, start).alpha)
+    first = first_alpha(match)
+    start = 3.0**8 * first
+    for before in ((), (start,)):
+        best, alpha, *_ = choose_alpha(match, u, u, free, start, before)
+        assert 0 < best <= alpha <= 1.001 * STIFFEST * first
 
 
 def test_a_larger_weight_of_coarser_scales_counts_as_far_as_the_misfit_allows():
