@@ -7,6 +7,8 @@ import pytest
 import eofm
 from eofm.compiled import use_threads
 from eofm.errors import InputError
+from eofm.flow.matching import Match
+from eofm.grid import Grid
 from eofm.settings import Estimation
 
 SHAPE = (20, 34, 41)
@@ -186,3 +188,17 @@ def test_what_does_not_fit_is_refused(pair):
             eofm.estimate_displacement(*images, known=known)
     with pytest.raises(InputError, match="front is an edge of volumes"):
         eofm.estimate_displacement(I1[0], I2[0], Estimation(zero_edges=("front",)))
+
+
+@pytest.mark.parametrize("shape", [(12, 14, 17), (30, 34)])
+def test_white_noise_does_not_stretch_volumes_at_their_faces(rng, shape):
+    """Derivatives across faces have the noise of the voxel itself; those along them do not."""
+    ndim = len(shape)
+    g, r = rng.normal(size=(ndim, *shape)), rng.normal(size=shape)
+    match = Match(Grid(shape), np.zeros_like(g), g.copy(), r, np.ones(shape, dtype=bool))
+    seen = match.shared(g.copy(), 0.0).g
+    across = np.zeros((ndim, *shape), dtype=bool)
+    for c in range(ndim):
+        np.moveaxis(across[c], ndim - 1 - c, 0)[[0, 1, -2, -1]] = ndim == 3
+    assert np.all(seen[across] == 0)
+    assert np.all(seen[~across] != 0)
