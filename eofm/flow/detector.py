@@ -131,7 +131,7 @@ def changes(I1: Array, I2: Array, dead: Mask, u: Array, doubted: tuple[Lines, ..
     Parameters
     ----------
     I1, I2 : ndarray
-        Both without the lines.
+        Images without the lines.
     """
     rest, used, gain = left(I1, I2, dead, u)
     if not used.any():

@@ -234,9 +234,8 @@ def least_misfit(
     left, middle, right = (misfit(j) for j in (k - 1, k, k + 1))
     curvature = left - 2 * middle + right
     shift = 0.5 * (left - right) / curvature if curvature > 0 else 0.0
-    largest = min(t.most for t in trials)
-    best = float(np.clip(start * STEP ** (k + np.clip(shift, -1, 1)), *ALPHA))
-    best = min(best, largest)
+    largest = min(ALPHA[1], *(t.most for t in trials))
+    best = float(np.clip(start * STEP ** (k + np.clip(shift, -1, 1)), ALPHA[0], largest))
     asked = min(math.sqrt(best * max(best, *before)), largest) if before else best
     most = k
     while start * STEP**most < asked and misfit(most + 1) <= EQUAL * misfit(k):

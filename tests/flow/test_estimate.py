@@ -144,11 +144,7 @@ def test_images_have_to_be_numbers(image, message):
 @pytest.mark.parametrize("kind", [np.longdouble, np.int64, object, list])
 def test_numbers_of_any_kind_are_read(rng, kind):
     I1, I2 = rng.integers(0, 255, (2, 20, 24))
-    given = (
-        ([list(map(list, I)) for I in (I1, I2)])
-        if kind is list
-        else (I1.astype(kind), I2.astype(kind))
-    )
+    given = (I.tolist() if kind is list else I.astype(kind) for I in (I1, I2))
     settings = eofm.Estimation(alpha=1.0)
     found = eofm.estimate_displacement(*given, settings)
     np.testing.assert_array_equal(found.u, eofm.estimate_displacement(I1, I2, settings).u)
