@@ -3,10 +3,10 @@
 import os
 import sys
 from collections.abc import Callable
-from functools import wraps
+from functools import cache, wraps
 from typing import ParamSpec, TypeVar
 
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController, threadpool_limits
 
 from eofm.errors import InputError
 
@@ -48,7 +48,13 @@ def serial(function: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(function)
     def run(*args: P.args, **kwargs: P.kwargs) -> R:
-        with threadpool_limits(1, user_api="blas"):
+        with _libraries().limit(limits=1, user_api="blas"):
             return function(*args, **kwargs)
 
     return run
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    """Those that are loaded, which takes as long to find out as a small matrix to factorise."""
+    return ThreadpoolController()

@@ -18,7 +18,8 @@ from eofm.flow.estimate import best_start
 from eofm.flow.images import FINEST
 from eofm.flow.problem import nothing
 from eofm.flow.pyramid import largest_small
-from eofm.flow.tiles import shape_of, solve
+from eofm.flow.scale import solve
+from eofm.flow.tiles import shape_of
 from eofm.imaging.greys import Greys
 from eofm.imaging.splines import needed, resize_part
 from eofm.settings import Estimation, Pair, Tiling

@@ -23,7 +23,8 @@ import numpy as np
 from eofm import io
 from eofm.analysis.plan import Plan
 from eofm.errors import InputError
-from eofm.flow.tiles import Choice, Scale, Tile, blend, carried, choose, common, probes, shape_of
+from eofm.flow.scale import Choice, Scale, choose
+from eofm.flow.tiles import Tile, blend, carried, common, probes, shape_of
 from eofm.grid import Array, Mask
 
 logger = logging.getLogger("eofm")

@@ -1,4 +1,4 @@
-"""The coarsest grid of :mod:`eofm.flow.multigrid`, on which K is a matrix and is factorised."""
+"""The coarsest grid of :mod:`eofm.flow.hierarchy`, on which K is a matrix and is factorised."""
 
 import math
 from collections.abc import Callable

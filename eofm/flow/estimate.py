@@ -18,7 +18,7 @@ from eofm.flow.pair import ImagePair
 from eofm.flow.problem import Improved, Level, Problem
 from eofm.flow.pyramid import largest_small
 from eofm.flow.start import alike, correlation, details, match_blocks, ratio_left, unlike
-from eofm.flow.weight import around
+from eofm.flow.trial import around
 from eofm.grid import Array, Mask, componentwise, unit_spacing
 from eofm.imaging.intensity import normalise, normalise_locally, real
 from eofm.imaging.printed import frames

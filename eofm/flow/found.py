@@ -11,9 +11,9 @@ import numpy as np
 from eofm.flow.functional import Quadratic
 from eofm.flow.matching import Match
 from eofm.flow.pair import ImagePair
+from eofm.flow.trial import reach
 from eofm.flow.trust import Trust, judge
 from eofm.flow.uncertainty import Errors
-from eofm.flow.weight import reach
 from eofm.grid import Array, Edge, Mask, componentwise
 from eofm.imaging.gaussian import blur
 from eofm.imaging.splines import resize, resize_field

@@ -14,7 +14,8 @@ from eofm.flow.multigrid import multigrid
 from eofm.flow.pair import ImagePair
 from eofm.flow.pyramid import pyramid, solving
 from eofm.flow.roughness import ease
-from eofm.flow.weight import choose_alpha, enough, first_alpha, reach
+from eofm.flow.trial import enough, first_alpha, reach
+from eofm.flow.weight import choose_alpha
 from eofm.grid import (
     FACES,
     Array,

@@ -1,4 +1,4 @@
-"""The smoother of :mod:`eofm.flow.multigrid`: steps that go through a grid together.
+"""The smoother of :mod:`eofm.flow.hierarchy`: steps that go through a grid together.
 
 Memory, and the calls on small grids, are what takes time. So several steps go together, each some
 rows (of volumes slices) behind the one before: what they share stays in the cache. As x and y are

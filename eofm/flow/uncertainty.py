@@ -11,8 +11,9 @@ from functools import cached_property
 import numpy as np
 
 from eofm.flow.functional import Pointwise, Quadratic
+from eofm.flow.hierarchy import Levels, hierarchy
 from eofm.flow.matching import Match
-from eofm.flow.multigrid import Levels, hierarchy, multigrid
+from eofm.flow.multigrid import multigrid
 from eofm.grid import Array, precision
 from eofm.imaging.intensity import Window
 from eofm.imaging.sampling import weights

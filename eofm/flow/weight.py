@@ -8,27 +8,26 @@ for dense speckle, where they are noise.
 
 import math
 from collections.abc import Callable, Sequence
-from functools import cache, partial
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from eofm.flow.functional import Pointwise, Quadratic, unit
-from eofm.flow.matching import BLOCK, Match, held_out
-from eofm.flow.multigrid import CoarseTerms, hierarchy, multigrid
-from eofm.grid import Array, Grid, Mask
+from eofm.flow.matching import BLOCK, Match
+from eofm.flow.parts import cut_out, windows
+from eofm.flow.trial import RIDGE, Blocks, Trial, folds
+from eofm.grid import Array
 from eofm.settings import ALPHA
 
-# Samples over which the first weight smooths.
-REACH = 8.0
 # Ratio of two weights that are compared: the minimum is flat; and how far they go from the
 # first, in such steps.
 STEP, FARTHEST = 3.0, 6
 # A misfit as large as that of a motion which is off by so many samples may be a motion that was
-# lost; by how many steps less it is looked for, and the part of the misfit that tells.
-LOST, PROBES, TELLS = 0.25, (2, 4, 6, 8, 10, 12), 0.9
+# lost; by how many steps less it is looked for, and the part of the misfit that tells. The least
+# weights follow noise, and their solves take longest: none of a hundred scenes had a better one
+# beyond a weight whose misfit was 1.13 times that from which it was looked for.
+LOST, PROBES, TELLS, HOPELESS = 0.25, (2, 4, 6, 8, 10, 12), 0.9, 1.4
 # Part of the misfit that is left at most if a weight that varies is to be believed.
 GAIN = 0.999
 # By how little weights larger by so many steps change the misfit where the motion is as stiff as
@@ -36,10 +35,6 @@ GAIN = 0.999
 STIFF, UP = 1e-3, (1, 4)
 # Misfit, as a part of the least, up to which a weight that other scales ask for is as good.
 EQUAL = 1.1
-# Fewer blocks than these do not tell weights apart well; the finest scale, whose weight nothing
-# else tells, makes do with FEWEST. Where there are fewer than MANY, all are held out by turns, and
-# one quarter alone from PLENTY on; a block of a volume holds eight times as much.
-BLOCKS, FEWEST, MANY, PLENTY = 20, 8, {2: 256, 3: 64}, {2: math.inf, 3: 256}
 # Pixels around a held-out block that are not used either: the noise of images that were
 # filtered is correlated, and would be fitted on both sides of the border.
 MARGIN = 2
@@ -48,45 +43,10 @@ MARGIN = 2
 # find where motion was lost. Where the finest scale finds one as much less than a coarser one did,
 # blocks of twice the side decide if structures are as wide as a block: what is left of such that
 # change is told in small blocks by what is around them, as motion is.
-Blocks = tuple[int, int]
 USUAL, SMALL, LARGE, FOUND = (BLOCK, MARGIN), (4, 1), (2 * BLOCK, 2 * MARGIN), STEP**4
 # Structures as wide as a block: gradients half of it apart correlate more than this part of how
 # those two samples apart do. Speckle 9 samples wide has 0.5 to 0.8, such of 2 none.
 WIDE = 0.5
-# Weight of volumes, times the first one, above which rounding in single precision outweighs the
-# images. The motion is as good as affine there.
-STIFFEST = 27.0
-# Side of the windows that stand for a large image, or a volume, and for one larger than what, px;
-# and how many there are.
-WINDOW, WINDOWS = {2: (120, 384), 3: (48, 96)}, 5
-# Pixels at its sides that only the field is given: a window ends where the image goes on, and the
-# field is worse there than in the image, which would make weights too small.
-INNER = 2 * BLOCK
-# Part of the windows that goes by the data alone, not by the roughness of the motion.
-EVEN = 0.5
-# Change of v by the last iteration of a trial solve, px; trials are most of the time of a volume.
-ACCURACY = {2: 1e-2, 3: 3e-2}
-# Part of the image's mean data term that is added to all: a window may be black.
-RIDGE = 1e-9
-TINY = float(np.finfo(np.float32).tiny)
-
-
-def first_alpha(match: Match) -> float:
-    """Weight of the coarse scales, and the first one tried.
-
-    It holds a structure of the ``REACH`` as firmly as the mean gradient of the images does.
-    """
-    return (match.strength + np.finfo(float).tiny) * (REACH * match.grid.side) ** 4
-
-
-def reach(match: Match, alpha: float) -> float:
-    """Samples over which a weight smooths: those of `first_alpha` are REACH."""
-    return float((alpha / (match.strength + TINY)) ** 0.25 / match.grid.side)
-
-
-def enough(shape: tuple[int, ...], finest: bool) -> bool:
-    """Whether a scale has blocks enough to choose a weight."""
-    return math.prod(shape) >= (FEWEST if finest else BLOCKS) * BLOCK ** len(shape)
 
 
 def choose_alpha(
@@ -103,8 +63,9 @@ def choose_alpha(
     Goes downhill from ``start`` in factors of 3, upwards first, then to the vertex of the
     parabola through the three best in log alpha: four or five solves for each of two quarters
     that are held out. Of large images, one quarter of some windows does, so that this takes the
-    same time for all; of small ones all quarters are held out. Windows lie where motion is rough
-    and where it is smooth, and count as what they stand for, see `drawn`.
+    same time for all; of small ones all quarters are held out, but one alone tells where to look.
+    Windows lie where motion is rough and where it is smooth, and count as what they stand for, see
+    `drawn`.
 
     Motion that varies within a few structures of the image has two minima: large weights
     smooth it away, those between follow some of it wrongly, and small ones find it. So
@@ -130,7 +91,7 @@ def choose_alpha(
         By which the weight may be divided at each pixel, see :func:`eofm.flow.roughness.ease`,
         which is done where it lessens the misfit.
     """
-    windows = _windows(match)
+    parts = windows(match)
 
     def trials(ease: Array | float, blocks: Blocks) -> list[Trial]:
         eased = match if isinstance(ease, float) else match.eased(ease)
@@ -138,7 +99,7 @@ def choose_alpha(
         shares = np.broadcast_to(ease, match.grid.shape)
         return [
             Trial(
-                _cut(eased, w),
+                cut_out(eased, w),
                 about[:, *w],
                 prescribed[:, *w],
                 free[w],
@@ -147,8 +108,8 @@ def choose_alpha(
                 counts / shares[w],
                 blocks,
             )
-            for w, counts in windows
-            for fold in folds(match.grid.shape, len(windows))
+            for fold in folds(match.grid.shape, len(parts))
+            for w, counts in parts
         ]
 
     even, blocks = best_weight(partial(trials, 1.0), start, before)
@@ -170,7 +131,7 @@ class Choice(NamedTuple):
 
 
 def best_weight(
-    trials: "Callable[[Blocks], Sequence[Trial]]", start: float, before: Sequence[float]
+    trials: Callable[[Blocks], Sequence[Trial]], start: float, before: Sequence[float]
 ) -> tuple[Choice, Blocks]:
     """The weight with the least misfit on blocks of some size, small ones where motion is lost."""
     usual = trials(USUAL)
@@ -201,7 +162,7 @@ def _wide(gradients: Sequence[Array]) -> bool:
 
 
 def least_misfit(
-    trials: "Sequence[Trial]",
+    trials: Sequence[Trial],
     start: float,
     before: Sequence[float] = (),
     lost: bool = False,
@@ -210,27 +171,8 @@ def least_misfit(
 
     Of a motion that is ``lost``, another minimum is looked for far below the first one.
     """
-
-    @cache
-    def misfit(k: int) -> float:
-        return sum(t.misfit(start * STEP**k) for t in trials)
-
-    def downhill(first: int) -> int:
-        k = first
-        for step in (1, -1):  # larger weights first: their solves are cheaper
-            while abs(k + step - first) <= FARTHEST and misfit(k + step) < misfit(k):
-                k += step
-            if k != first:
-                break
-        return k
-
-    k = downhill(0)
-    high, low = max(k, 0), min(k, 0)
-    stiff = all(misfit(high + far) < (1 + STIFF) * misfit(high) for far in UP)
-    if lost or stiff:
-        low = min((low - far for far in PROBES), key=misfit)
-        if misfit(low) < (1 if stiff else TELLS) * misfit(k):
-            k = downhill(low)
+    misfits = Misfits(trials, start)
+    misfit, k = misfits.at, misfits.best(lost)
     left, middle, right = (misfit(j) for j in (k - 1, k, k + 1))
     curvature = left - 2 * middle + right
     shift = 0.5 * (left - right) / curvature if curvature > 0 else 0.0
@@ -243,153 +185,52 @@ def least_misfit(
     return Choice(best, max(best, min(asked, start * STEP**most)), misfit(k))
 
 
-class Trial:
-    """One fold of one window; each solve starts from the one before."""
+class Misfits:
+    """Sums of the misfits of trials with the weights ``start * STEP**k``, and where they are least.
 
-    def __init__(
-        self,
-        match: Match,
-        about: Array,
-        prescribed: Array,
-        free: NDArray[np.bool_],
-        fold: int,
-        ridge: float,
-        counts: Array,
-        blocks: Blocks,
-    ) -> None:
-        self.match, self.about, self.free = match, about, free
-        (side, margin), shape = blocks, match.grid.shape
-        out = held_out(shape, fold, side)
-        self.counts = counts * (out & match.used)
-        terms = match.density(about, ~around(out, margin))
-        self.terms = Pointwise(terms.A + ridge * unit(terms.b), terms.b)
-        self.prescribed, self.v, self.known = prescribed, np.zeros_like(about), CoarseTerms()
-        single = terms.A.dtype == np.float32
-        self.most = STIFFEST * first_alpha(match) if single else math.inf
-
-    def misfit(self, alpha: float) -> float:
-        """Sum of the squared residual on the pixels that are held out, as often as each counts."""
-        alpha = min(alpha, self.most)
-        F = Quadratic(self.match.grid, self.terms, alpha, self.free, "bending")
-        F = F.shifted(self.prescribed)
-        levels = hierarchy(F, self.known)
-        self.v = multigrid(F, change=ACCURACY[len(self.v)], initial=self.v, levels=levels)
-        r = self.match.residual(self.about + self.prescribed + self.v)
-        return float(np.sum(self.counts * r**2))
-
-
-def around(mask: Mask, margin: int) -> Mask:
-    """Pixels of a mask and those no farther than a margin along each axis."""
-    near = mask
-    for axis in range(mask.ndim):
-        sides = [(margin, margin) if k == axis else (0, 0) for k in range(mask.ndim)]
-        near = np.any(sliding_window_view(np.pad(near, sides), 2 * margin + 1, axis), axis=-1)
-    return near
-
-
-def folds(shape: tuple[int, ...], windows: int) -> tuple[int, ...]:
-    """Quarters that are held out by turns."""
-    ndim = len(shape)
-    blocks = math.prod(shape) / BLOCK**ndim
-    if blocks < MANY[ndim]:
-        return 0, 1, 2, 3
-    return (0, 2) if windows == 1 and blocks < PLENTY[ndim] else (0,)
-
-
-def _windows(match: Match) -> list[tuple[tuple[slice, ...], Array]]:
-    """The image or, where it is large, some windows, and how often each pixel counts."""
-    width, large = WINDOW[match.grid.ndim]
-    shape = match.grid.shape
-    if max(shape) <= large:
-        return [(tuple(slice(0, n) for n in shape), np.ones(shape))]
-    sides = [_tiles(n, width) for n in shape]
-    data, rough = _contents(match, sides)
-    windows = []
-    for k, count in drawn(EVEN * data + (1 - EVEN) * rough, WINDOWS):
-        window = tuple(side[i] for side, i in zip(sides, k, strict=True))
-        windows.append((window, _counts(shape, window, count)))
-    return windows
-
-
-def _tiles(n: int, width: int) -> list[slice]:
-    """Windows that cover an axis of n samples, and overlap as little as they can."""
-    width = min(n, width)
-    starts = np.linspace(0, n - width, -(-n // width)).round().astype(int)
-    return [slice(int(start), int(start) + width) for start in starts]
-
-
-def _contents(match: Match, sides: list[list[slice]]) -> tuple[Array, Array]:
-    """Shares of the windows of a lattice in the squared gradient, and in that times roughness.
-
-    Roughness is the squared second difference of the motion between blocks. What a
-    weight takes away of it is seen where there are gradients.
+    Most of the way is gone by the first quarter of the blocks alone.
     """
-    blocks = [np.arange(0, n, BLOCK) for n in match.grid.shape]
 
-    def blockwise(f: Array) -> Array:
-        for axis, starts in enumerate(blocks):
-            f = np.add.reduceat(f, starts, axis)
-        return f
+    def __init__(self, trials: Sequence[Trial], start: float) -> None:
+        self.trials, self.start = trials, start
+        self.few = sum(trial.fold == 0 for trial in trials)
+        self.known: dict[tuple[int, int], float] = {}
 
-    data = blockwise((match.g**2).sum(0) * match.used)
-    u, rough = match.u, np.zeros_like(data)
-    for axis, starts in enumerate(blocks):
-        u = u.take(starts, axis + 1)
-    for axis, n in enumerate(data.shape):
-        inner = tuple(slice(1, -1) if k == axis else slice(None) for k in range(data.ndim))
-        if n > 2:
-            rough[inner] += (np.diff(u, 2, axis + 1) ** 2).sum(0)
-    shares = []
-    for part in (data, data * rough):
-        sums = np.empty([len(side) for side in sides])
-        for k in np.ndindex(sums.shape):
-            window = (side[i] for side, i in zip(sides, k, strict=True))
-            sums[k] = part[
-                tuple(slice(s.start // BLOCK, s.stop // BLOCK + 1) for s in window)
-            ].sum()
-        shares.append((sums + TINY) / (sums + TINY).sum())
-    return shares[0], shares[1]
+    def at(self, k: int, few: bool = False) -> float:
+        """That of all trials, or of the first quarter."""
+        total, alpha = 0.0, self.start * STEP**k
+        for number, trial in enumerate(self.trials[: self.few] if few else self.trials):
+            if (number, k) not in self.known:
+                self.known[number, k] = trial.misfit(alpha)
+            total += self.known[number, k]
+        return total
 
+    def best(self, lost: bool) -> int:
+        """The k of the least one."""
+        k = self._downhill(0, few=True)
+        high, low = max(k, 0), min(k, 0)
+        stiff = all(self.at(high + far, True) < (1 + STIFF) * self.at(high, True) for far in UP)
+        if lost or stiff:
+            found, much = self._far_below(low, self.at(k, True)), 1 if stiff else TELLS
+            if self.at(found, True) < much * self.at(k, True):
+                found = self._downhill(found, few=True)
+                k = found if self.at(found) < much * self.at(k) else k
+        return self._downhill(k)
 
-def drawn(share: Array, count: int) -> list[tuple[tuple[int, ...], float]]:
-    """Indices of places drawn in proportion to their share, and the inverse of that probability.
+    def _downhill(self, first: int, few: bool = False) -> int:
+        k = first
+        for step in (1, -1):  # larger weights first: their solves are cheaper
+            while abs(k + step - first) <= FARTHEST and self.at(k + step, few) < self.at(k, few):
+                k += step
+            if k != first:
+                break
+        return k
 
-    Sums over the places drawn, each times that number, are estimates of sums over all of them
-    without bias (Horvitz and Thompson, J. Am. Stat. Assoc. 47, 1952). Draws are systematic: the
-    middles of ``count`` equal parts of the accumulated share, with every other row backwards,
-    so that neighbours do not stand for each other. A place that is met twice counts twice.
-
-    Parameters
-    ----------
-    share : ndarray
-        Positive, of sum 1.
-    count : int
-    """
-    numbers = np.arange(share.size).reshape(share.shape)
-    numbers[1::2] = numbers[1::2, ::-1]
-    order = numbers.ravel()
-    ends = np.cumsum(share.ravel()[order])
-    middles = ends[-1] * (np.arange(count) + 0.5) / count
-    places, times = np.unique(np.searchsorted(ends, middles), return_counts=True)
-    return [
-        (np.unravel_index(place, share.shape), float(n / (count * share.flat[place])))
-        for place, n in zip(order[places], times, strict=True)
-    ]
-
-
-def _counts(shape: tuple[int, ...], window: tuple[slice, ...], count: float) -> Array:
-    """``count`` on the pixels of a window, 0 near a side where the image goes on."""
-    counts = np.zeros([s.stop - s.start for s in window])
-    inner = (
-        slice(INNER * (s.start > 0), s.stop - s.start - INNER * (s.stop < n))
-        for n, s in zip(shape, window, strict=True)
-    )
-    counts[tuple(inner)] = count
-    return counts
-
-
-def _cut(match: Match, window: tuple[slice, ...]) -> Match:
-    grid = Grid(tuple(s.stop - s.start for s in window), match.grid.spacing)
-    return Match(
-        grid, match.u[:, *window], match.g[:, *window], match.r[window], match.used[window]
-    )
+    def _far_below(self, low: int, least: float) -> int:
+        """The best of some weights that are much less."""
+        probes = list[int]()
+        for far in PROBES:
+            probes.append(low - far)
+            if self.at(low - far, True) > HOPELESS * least:
+                break
+        return min(probes, key=lambda k: self.at(k, True))

@@ -13,7 +13,8 @@ from eofm.compiled import use_threads
 from eofm.errors import InputError
 from eofm.flow import sweeps
 from eofm.flow.functional import Pointwise, Quadratic, pairs
-from eofm.flow.multigrid import LOOPS, CoarseTerms, Level, NotConverged, hierarchy, multigrid
+from eofm.flow.hierarchy import LOOPS, CoarseTerms, Level, hierarchy
+from eofm.flow.multigrid import NotConverged, multigrid
 from eofm.flow.operator import M
 from eofm.flow.sweeps import smooth
 from eofm.grid import Grid

@@ -9,8 +9,10 @@ from eofm.flow.known import Known
 from eofm.flow.matching import Match, held_out
 from eofm.flow.multigrid import multigrid
 from eofm.flow.pair import ImagePair
+from eofm.flow.parts import drawn
 from eofm.flow.roughness import ease, squared_bending
-from eofm.flow.weight import STIFFEST, choose_alpha, drawn, first_alpha
+from eofm.flow.trial import STIFFEST, first_alpha
+from eofm.flow.weight import choose_alpha
 from eofm.grid import Grid
 from eofm.imaging.gaussian import blur
 from eofm.settings import Estimation, Phantom
