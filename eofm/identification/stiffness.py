@@ -11,38 +11,26 @@ That estimate and the search take turns: the identified sample's displacement is
 background field of the next estimate, until the field settles.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from tqdm import tqdm
 
 from eofm.elasticity.forward import press
-from eofm.elasticity.sensitivity import Elastic
 from eofm.errors import InputError
 from eofm.flow.estimate import estimate_displacement
 from eofm.flow.found import Estimate
 from eofm.flow.known import Known
-from eofm.grid import FACES, Array, Edge, Mask, componentwise, faces, unit_spacing
-from eofm.identification.choice import NONE, Choice, Fit, choose, clearly_better
-from eofm.identification.edges import motions, move_differently, moved
-from eofm.identification.folds import COUNT, Folds
-from eofm.identification.inversion import Inversion, Report, gauss_newton
+from eofm.grid import FACES, Array, Edge, faces
+from eofm.identification.choice import NONE, Choice, Fit, clearly_better
+from eofm.identification.edges import move_differently, moved
+from eofm.identification.folds import Folds
+from eofm.identification.inversion import Report
+from eofm.identification.setup import Setup
 from eofm.identification.uncertainty import Errors
-from eofm.imaging.gaussian import blur
-from eofm.imaging.splines import gradient, resize
 from eofm.settings import Estimation, Identification, Sample
 from eofm.threads import serial
 
-# Elements at most, where their size is left open: their matrix is factorised many times.
-ELEMENTS = 6400
-# Smallest side of an element then, px.
-SMALLEST = 4.0
-# How much smaller their side is for the few numbers of inclusions, in the rounds after the first.
-FINER = 2.0
-# Largest contrast of a first guess.
-STRONGEST = 8.0
 # Samples of the error bars that decide whether E is refused.
 VERDICT_SAMPLES = 8
 # Part of the clarity for which E is asked below which its displacement is no better either.
@@ -208,7 +196,7 @@ def identify_stiffness(
     found: Stiffness | None = None
     alone = bool(refused)
     for rounds in range(1, settings.rounds + 1):
-        found = setup.identify(estimate, choice, found, report)
+        found = _identify(setup, estimate, choice, found, report)
         if rounds == 1 and found.contrast and not refused:
             refused, alone = vague(found, settings)
         found = replace(found, scale=scale, rounds=rounds, refused=refused, alone=alone)
@@ -224,123 +212,36 @@ def identify_stiffness(
             break
     bar.close()
     assert found is not None  # there is at least one round
-    found = found if alone else setup.settle(found)
+    found = found if alone else _settle(found, settings)
     return replace(found, E=np.full_like(found.E, np.nan)) if refused else found
 
 
-@dataclass(frozen=True)
-class Setup:
-    """What all rounds of an identification share.
+def _identify(
+    setup: Setup, estimate: Estimate, choice: Choice, previous: Stiffness | None, report: Report
+) -> Stiffness:
+    """The sample that fits the images, linearised about an estimate."""
+    everything, prior = np.ones(setup.sample.shape, dtype=bool), choice.prior
+    if previous and previous.fit.outlined:
+        setup = setup.finer
+    whole = setup.problems(estimate, [everything])[0]
+    if previous is None:
+        fit = setup.first(whole, estimate, choice, report)
+    else:
+        fit = prior.again(previous.fit, whole, setup.settings, report)
+    return Stiffness(np.exp(fit.log_E), fit.u / setup.h, estimate, choice, fit)
 
-    Attributes
-    ----------
-    sample : Sample
-    motion : dict of ndarray, shape (2, n)
-        Motion of edges, px; a first guess of those that are ``loose``.
-    loose : tuple
-    u_bg : ndarray, shape (2, height, width)
-        Background of the estimate that knows no stiffness, px.
-    pixel_size : (lateral, axial)
-    settings : Identification
+
+def _settle(found: Stiffness, settings: Identification) -> Stiffness:
+    """The same with the elastic displacement, where it predicts bubbles held out better.
+
+    The estimate about it has a weight that blocks of pixels chose, and may follow noise.
     """
-
-    sample: Sample
-    motion: dict[Edge, Array]
-    loose: tuple[Edge, ...]
-    u_bg: Array
-    pixel_size: tuple[float, ...]
-    settings: Identification
-
-    @cached_property
-    def h(self) -> Array:
-        """Sides of a pixel, shape (2, 1, 1)."""
-        return componentwise(unit_spacing(self.pixel_size), 2)
-
-    @cached_property
-    def model(self) -> Elastic:
-        """The forward model, with the motion of edges in true lengths."""
-        motion = {edge: self.h[..., 0] * g for edge, g in self.motion.items()}
-        spacing = unit_spacing(self.pixel_size)
-        return Elastic(self.sample, motion, self.cell, spacing, self.loose)
-
-    @property
-    def cell(self) -> float:
-        """Side of an element, px."""
-        sides = np.array(self.sample.shape) - 1
-        return self.settings.cell or max(SMALLEST, float(np.sqrt(np.prod(sides) / ELEMENTS)))
-
-    @cached_property
-    def finer(self) -> "Setup":
-        """The same on smaller elements: those that an outline cuts are a good part of a disc."""
-        cell = max(self.cell / FINER, min(self.cell, 1.0))
-        return replace(self, settings=self.settings.changed(cell=cell))
-
-    def problems(self, estimate: Estimate, masks: Sequence[Mask]) -> list[Inversion]:
-        """One for each mask of pixels that are seen."""
-        model, match = self.model, estimate.match
-        correction = np.zeros_like(self.u_bg)
-        if not self.loose:
-            # What the mesh gets wrong where E = 1.
-            plain = model.to_pixels(model.solve(np.zeros(model.shape)).u)
-            correction = self.h * self.u_bg - plain
-        edges = motions(model, estimate, self.h)
-        left = match.residual(np.zeros_like(self.u_bg))
-        problems = []
-        for mask in masks:
-            g, r = (f * (match.used & mask) / match.noise for f in (match.g, left))
-            problems.append(Inversion(model, correction, g, r, self.settings.epsilon, edges))
-        return problems
-
-    def choose(self, estimate: Estimate, report: Report) -> tuple[Choice, str]:
-        """What held-out bubbles say, and why E is refused, if it is."""
-        folds, settings = Folds(estimate.match), self.settings
-        parts = self.problems(estimate, [~out for out in folds.masks])
-        choice = choose(parts, folds, settings, report)
-        preset = folds.losses(folds.smooth(estimate, [self.h * self.u_bg] * COUNT))
-        if not clearly_better(preset, choice.losses, settings.worse):
-            return choice, ""
-        return choice, (
-            "the identified sample predicts bubbles that were held out worse than the preset"
-            f" (misfit {choice.losses.mean():.3g} against {preset.mean():.3g})"
-        )
-
-    def identify(
-        self, estimate: Estimate, choice: Choice, previous: "Stiffness | None", report: Report
-    ) -> "Stiffness":
-        """The sample that fits the images, linearised about an estimate."""
-        everything, prior = np.ones(self.sample.shape, dtype=bool), choice.prior
-        setup = self.finer if previous and previous.fit.outlined else self
-        whole = setup.problems(estimate, [everything])[0]
-        if previous is None:
-            fit = self.first(whole, estimate, choice, report)
-        else:
-            fit = prior.again(previous.fit, whole, self.settings, report)
-        return Stiffness(np.exp(fit.log_E), fit.u / self.h, estimate, choice, fit)
-
-    def settle(self, found: "Stiffness") -> "Stiffness":
-        """The same with the elastic displacement, where it predicts bubbles held out better.
-
-        The estimate about it has a weight that blocks of pixels chose, and may follow noise.
-        """
-        folds = Folds(found.estimate.match)
-        fields = [fit.u for fit in found.choice.fits]
-        smooth = folds.losses(folds.smooth(found.estimate, fields))
-        if not clearly_better(folds.losses(fields), smooth, self.settings.clear):
-            return found
-        return replace(found, estimate=replace(found.estimate, u=found.elastic))
-
-    def first(self, problem: Inversion, estimate: Estimate, choice: Choice, report: Report) -> Fit:
-        """The best fit of some starts: what folds found, and for elements what strains suggest."""
-        prior, settings = choice.prior, self.settings
-        if prior.inclusions:
-            outlined = [prior.again(fit, problem, settings, report) for fit in choice.fits]
-            return min(outlined, key=lambda fit: fit.misfit)
-        starts = [choice.fits[0].z]
-        if prior.gamma < NONE:
-            starts.append(problem.start(softness(estimate.u, problem.model)))
-        fits = [gauss_newton(problem, z, prior.gamma, settings, report) for z in starts]
-        best = min(fits, key=lambda z: problem.cost(z, problem.state(z), prior.gamma))
-        return prior.fit(Fit(problem, best), settings, report)
+    folds = Folds(found.estimate.match)
+    fields = [fit.u for fit in found.choice.fits]
+    smooth = folds.losses(folds.smooth(found.estimate, fields))
+    if not clearly_better(folds.losses(fields), smooth, settings.clear):
+        return found
+    return replace(found, estimate=replace(found.estimate, u=found.elastic))
 
 
 def vague(found: Stiffness, settings: Identification) -> tuple[str, bool]:
@@ -356,14 +257,6 @@ def vague(found: Stiffness, settings: Identification) -> tuple[str, bool]:
     return (
         f"its contrast is {clarity:.2g} times its error bars, less than {settings.clarity:g}"
     ), clarity < VAGUE * settings.clarity
-
-
-def softness(u: Array, model: Elastic) -> Array:
-    """A first guess of m: less the logarithm of the axial strain, smoothed, of elements."""
-    strain = np.abs(gradient(resize(u[1], model.shape))[1])
-    strain = blur(strain, 1.0)
-    middle = float(np.median(strain))
-    return -np.log(np.clip(strain / max(middle, TINY), 1 / STRONGEST, STRONGEST))
 
 
 def _check(I1: Array, I2: Array, sample: Sample) -> None:
