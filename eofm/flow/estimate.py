@@ -146,6 +146,8 @@ def _estimate(I1: Array, I2: Array, settings: Estimation, known: Known, progress
         if better := clearer(start := partial(run, start=by_amplitude.lengths)):
             log.debug("the images oscillate: their amplitude's motion is the better start")
             (found, shaded, _), run = better, start
+    if settings.robust and settings.denoising is None and settings.local_window is None:
+        found = without_standing(found, lambda way: run(images, settings.changed(**way)).found)
     if not shaded:
         return found
     local = run(images, settings.changed(local_window=COARSE)).found
@@ -157,6 +159,17 @@ def _estimate(I1: Array, I2: Array, settings: Estimation, known: Known, progress
         return found
     log.debug("brightness changes within structures of the image: it was normalised locally")
     return local
+
+
+def without_standing(found: Estimate, estimate: Callable[[dict[str, float]], Estimate]) -> Estimate:
+    """The estimate, or one without structures that stand while the sample moves, if less pulls."""
+    if not (way := found.standing.way_out):
+        return found
+    other = estimate(way)
+    if not other.standing.pulls_less(found.standing):
+        return found
+    log.debug("something stands still while the sample moves; estimated with %s", way)
+    return other
 
 
 class Run(NamedTuple):

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
 
@@ -11,9 +11,11 @@ import numpy as np
 from eofm.flow.functional import Quadratic
 from eofm.flow.matching import Match
 from eofm.flow.pair import ImagePair
+from eofm.flow.standing import Standing, standing
 from eofm.flow.trial import reach
 from eofm.flow.trust import Trust, judge
 from eofm.flow.uncertainty import Errors
+from eofm.flow.windows import length
 from eofm.grid import Array, Edge, Mask, componentwise
 from eofm.imaging.gaussian import blur
 from eofm.imaging.splines import resize, resize_field
@@ -92,12 +94,16 @@ class Estimate:
     def trust(self) -> Trust:
         """Whether the images, on the last scale, bear the estimate out."""
         # As they are: not even their brightness is fitted.
-        pair = replace(self.pair, robust=False)
-        match = pair.linearise(self.lengths)
+        (warped, used), pair = self.pair.warped(self.lengths), self.pair
         samples = pair.grid.samples(self.lengths)
-        warped = pair.I1 + match.r
-        trust = judge(pair.I1, warped, match.used, samples, self.edges, self.spread)
-        return trust.on(self.u.shape[1:])
+        more = (self.spread, self.standing)
+        return judge(pair.I1, warped, used, samples, self.edges, *more).on(self.u.shape[1:])
+
+    @cached_property
+    def standing(self) -> Standing:
+        """Whether something stands still in the images while the sample moves."""
+        (warped, used), pair = self.pair.warped(self.lengths), self.pair
+        return standing(pair.I1, warped, used, pair.grid.samples(self.lengths))
 
     @property
     def spread(self) -> float:
@@ -147,8 +153,12 @@ class Estimate:
         See :class:`eofm.flow.uncertainty.Errors`. A speckle term on the finest scale
         (``speckle_scales="all"``) counts as exact.
         """
-        for error in islice(self.errors.draws(np.random.default_rng(seed)), count):
-            yield resize_field(error, self.u.shape[1:]) / self._sides
+        # What stands still pulls along the displacement.
+        pull, strengths = self.standing.pull, np.random.default_rng([seed, 1]).normal(size=count)
+        along = self.u * (pull / np.maximum(length(self.u), pull)) if pull else 0
+        draws = islice(self.errors.draws(np.random.default_rng(seed)), count)
+        for strength, error in zip(strengths, draws, strict=True):
+            yield resize_field(error, self.u.shape[1:]) / self._sides + float(strength) * along
 
     @cached_property
     def errors(self) -> Errors:

@@ -69,6 +69,23 @@ class ImagePair:
         shared = match.shared(g1, denoising) if self.mean else match.filtered(denoising)
         return shared.weighed(contrast)
 
+    def warped(self, u: Array) -> tuple[Array, Mask]:
+        """The image after compression, carried back by a displacement, and where that has data."""
+        samples = self._samples(u)
+        warped, inside = Spline(self.I2, self.straight).warp(samples)
+        return warped, self._used(samples, inside)
+
+    def _samples(self, u: Array) -> Array:
+        """A displacement in samples of I2, from where it begins."""
+        samples = self.grid.samples(u)
+        return samples + componentwise(self.offset, len(u)) if any(self.offset) else samples
+
+    def _used(self, samples: Array, inside: Mask) -> Mask:
+        used = inside & self.live
+        if not self.live_after.all():
+            used &= Spline(self.live_after.astype(samples.dtype)).warp(samples)[0] > LIVE
+        return used
+
     def shading(self, u: Array) -> float:
         """How much brightness changes after a displacement, but for one gain and one offset.
 
@@ -85,17 +102,13 @@ class ImagePair:
 
     def _linearise(self, u: Array) -> tuple[Match, Array, Array]:
         """Images linearised about a displacement, the gradient of I1, and local contrast."""
-        samples, after = self.grid.samples(u), Spline(self.I2, self.straight)
-        if any(self.offset):
-            samples = samples + componentwise(self.offset, self.grid.ndim)
+        samples, after = self._samples(u), Spline(self.I2, self.straight)
         if self.mean:
             warped, g, inside = after.warp_with_gradient(samples, self.grid.spacing)
         else:
             warped, inside = after.warp(samples)
         del after
-        used = inside & self.live
-        if not self.live_after.all():
-            used &= Spline(self.live_after.astype(u.dtype)).warp(samples)[0] > LIVE
+        used = self._used(samples, inside)
         g1 = Spline(self.I1, self.straight).gradient(self.grid.spacing)
         I1, contrast = self.I1, np.ones((), u.dtype)
         if self.robust and used.any():

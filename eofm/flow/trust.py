@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from eofm.flow.standing import Standing
 from eofm.flow.windows import Windows, correlate, length
 from eofm.grid import FACES, Array, Edge, Mask
 
@@ -119,6 +120,7 @@ def judge(
     u: Array,
     edges: Collection[Edge] = (),
     spread: float = 0.0,
+    standing: Standing | None = None,
 ) -> Trust:
     """Verdict on a displacement.
 
@@ -134,6 +136,8 @@ def judge(
         Those whose motion was stated.
     spread : float
         About how far the images leave the displacement open, px.
+    standing : Standing, optional
+        Whether something stands still while the sample moves.
     """
     windows = correlate(I1, warped, used)
     known = np.isfinite(windows.here)
@@ -154,6 +158,12 @@ def judge(
         doubts.append(
             f"the images leave the motion open by {spread:.1f} px or so; average frames, press in"
             " smaller steps, or state edges or a background"
+        )
+    if standing is not None and standing.doubtful:
+        doubts.append(
+            f"structures of one width have moved {standing.pull:.2f} px farther: the field is too"
+            " smooth, or something stands still and pulls at it (dirt, a mesh, noise that comes"
+            " back); take that off both images, or press in larger steps"
         )
     doubts += _contradicted(windows, u, edges)
     if np.allclose(I1, warped, atol=SAME) and np.allclose(u, 0, atol=SAME):

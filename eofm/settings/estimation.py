@@ -130,15 +130,16 @@ class Estimation(Section):
         None,
         ge=0,
         description="Gaussian applied to the linearised images, px of each scale; none: up to 0.6,"
-        " by the share of white noise in what is left of their difference",
+        " by the share of white noise in what is left of their difference, and 2 where fine"
+        " structures stand still while the sample moves",
     )
 
     robust: bool = Field(
         True,
         description="whether to fit changes of brightness and contrast, to weigh residuals by"
         " their noise, to leave out highlights, saturated lines, impulses and what is printed on"
-        " both images, to take off lines of a detector and lines that flicker, and to search far"
-        " away",
+        " both images, to take off lines of a detector and lines that flicker, to leave out"
+        " structures that stand still while the sample moves, and to search far away",
     )
 
     @model_validator(mode="before")
