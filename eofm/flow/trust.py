@@ -61,6 +61,8 @@ class Trust:
         Largest offset of the peaks in a part of the image, median of its windows, px.
     folded, used : float
         Shares of the pixels where ``det(I + grad u) <= 0``, and that carry data.
+    empty : float
+        Share of the windows with data that show white noise alone, and are not in the others.
     """
 
     verdict: Verdict
@@ -73,6 +75,7 @@ class Trust:
     drift: float
     folded: float
     used: float
+    empty: float
 
     def on(self, shape: tuple[int, ...]) -> "Trust":
         """Return the same with a map of another size, each pixel taking the nearest value."""
@@ -150,6 +153,7 @@ def judge(
         "drift": windows.drift(),
         "folded": folds(u),
         "used": float(used.mean()),
+        "empty": float(windows.empty.sum() / max(int((known | windows.empty).sum()), 1)),
     }
     failed = _failures(**shares)
     doubts = [] if failed else _doubts(**shares)
@@ -184,7 +188,7 @@ def pooled(parts: Sequence[Mapping[str, Any]], voxels: Sequence[int]) -> Trust:
         total = sum(w * part[key] for w, part in zip(weights, parts, strict=True))
         return float(total / max(sum(weights), TINY))
 
-    shares = {key: mean(key, data) for key in ("agreeing", "contradicting", "correlation")}
+    shares = {key: mean(key, data) for key in ("agreeing", "contradicting", "correlation", "empty")}
     shares |= {key: mean(key, voxels) for key in ("folded", "used")}
     shares["part"] = min((p["agreeing"] for p in parts if p["used"] > USED), default=1.0)
     shares["drift"] = max(part["drift"] for part in parts)
@@ -218,8 +222,14 @@ def _doubts(
     drift: float,
     folded: float,
     used: float,
+    empty: float,
 ) -> list[str]:
     doubts = []
+    if empty > 1 - AGREED[0]:
+        doubts.append(
+            f"{empty:.0%} of the image show nothing but noise, and the motion is not known there;"
+            " mask them"
+        )
     if used < USED:
         doubts.append(f"only {used:.0%} of the image carry data; make the mask smaller")
     if agreeing < AGREED[0]:

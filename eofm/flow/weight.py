@@ -207,20 +207,22 @@ class Misfits:
 
     def best(self, lost: bool) -> int:
         """The k of the least one."""
-        k = self._downhill(0, few=True)
+        start, k = 0, self._downhill(0, few=True)
         high, low = max(k, 0), min(k, 0)
         stiff = all(self.at(high + far, True) < (1 + STIFF) * self.at(high, True) for far in UP)
         if lost or stiff:
-            found, much = self._far_below(low, self.at(k, True)), 1 if stiff else TELLS
-            if self.at(found, True) < much * self.at(k, True):
-                found = self._downhill(found, few=True)
-                k = found if self.at(found) < much * self.at(k) else k
-        return self._downhill(k)
+            below, much = self._far_below(low, self.at(k, True)), 1 if stiff else TELLS
+            if self.at(below, True) < much * self.at(k, True):
+                found = self._downhill(below, few=True)
+                if self.at(found) < much * self.at(k):
+                    start, k = below, found
+        return self._downhill(start, k)
 
-    def _downhill(self, first: int, few: bool = False) -> int:
-        k = first
+    def _downhill(self, start: int, first: int | None = None, few: bool = False) -> int:
+        """From the first one, no farther from a start."""
+        k = first = start if first is None else first
         for step in (1, -1):  # larger weights first: their solves are cheaper
-            while abs(k + step - first) <= FARTHEST and self.at(k + step, few) < self.at(k, few):
+            while abs(k + step - start) <= FARTHEST and self.at(k + step, few) < self.at(k, few):
                 k += step
             if k != first:
                 break

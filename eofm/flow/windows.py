@@ -24,6 +24,9 @@ SIDES, ACROSS, OVERLAP = {2: (24, 64), 3: (16, 32)}, 6, {2: 2, 3: 1}
 # Part of a window that has to carry data, and contrast of one that shows something, relative to
 # the image's.
 SEEN, CONTRAST = 0.5, 0.01
+# Contrast, as a part of nearly the largest of a window, and correlation of neighbours, below which
+# both images show white noise alone there.
+DIM, MOST, WHITE = 0.3, 0.95, 0.25
 # Height of a clear peak, in robust standard deviations of the correlation around it.
 CLEAR = 5.0
 # Distance of a peak from no offset that is none, px, and how much higher one elsewhere stands.
@@ -46,6 +49,8 @@ class Windows:
     offset : ndarray, shape (ndim, ...)
         Of the peak there, px.
     agrees, contradicts : ndarray of bool
+    empty : ndarray of bool
+        Where both images show white noise alone; nothing else is said there.
     """
 
     centres: tuple[Array, ...]
@@ -53,6 +58,7 @@ class Windows:
     offset: Array
     agrees: Mask
     contradicts: Mask
+    empty: Mask
 
     def parts(self) -> Iterator[tuple[NDArray[np.intp], ...]]:
         """Yield the index of the windows with data in each part of the image."""
@@ -111,7 +117,7 @@ def correlate(I1: Array, I2: Array, used: Mask, side: int | None = None) -> Wind
     sides, axes = (side,) * ndim, tuple(range(1, ndim + 1))
     hann = np.hanning(side + 2)[1:-1]
     window: Array = reduce(np.multiply.outer, [hann] * ndim)
-    least = [CONTRAST * np.std(I[used]) if used.any() else 0.0 for I in (I1, I2)]
+    spreads = [float(np.std(I[used])) + TINY if used.any() else TINY for I in (I1, I2)]
     reach = max(side // 4, 2)  # a peak has neighbours on both sides
     offsets = np.arange(-reach, reach + 1)
     # Windows that are shifted overlap less, which would lower peaks that stand off the middle.
@@ -119,7 +125,7 @@ def correlate(I1: Array, I2: Array, used: Mask, side: int | None = None) -> Wind
     overlaps = reduce(np.multiply.outer, [overlap] * ndim)
     near = length(np.meshgrid(*[offsets] * ndim)) <= NEAR
     shape = tuple(map(len, starts))
-    here, elsewhere, spread = (np.full(shape, np.nan) for _ in range(3))
+    here, elsewhere, spread, contrast, alike = (np.full(shape, np.nan) for _ in range(5))
     offset = np.full((ndim, *shape), np.nan)
     for k in np.ndindex(shape[:-1]):
         band = tuple(slice(s[i], s[i] + side) for s, i in zip(others, k, strict=True))
@@ -131,7 +137,7 @@ def correlate(I1: Array, I2: Array, used: Mask, side: int | None = None) -> Wind
         seen = weight.sum(axis=axes) >= SEEN * window.sum()
         a, size1 = _standardised(bands[0], weight)
         b, size2 = _standardised(bands[1], weight)
-        seen &= (size1 > least[0]) | (size2 > least[1])
+        seen &= (size1 > CONTRAST * spreads[0]) | (size2 > CONTRAST * spreads[1])
         if not seen.any():
             continue
         both = np.conj(fft.rfftn(a[seen], sides, axes)) * fft.rfftn(b[seen], sides, axes)
@@ -140,13 +146,19 @@ def correlate(I1: Array, I2: Array, used: Mask, side: int | None = None) -> Wind
         elsewhere[*k, seen] = plane[:, ~near].max(axis=1)
         offset[:, *k, seen] = _peaks(plane)
         spread[*k, seen] = np.median(np.abs(plane[:, ~near]), axis=1) / 0.6745
+        contrast[*k, seen] = np.maximum(size1 / spreads[0], size2 / spreads[1])[seen]
+        alike[*k, seen] = np.maximum(_neighbours(a[seen]), _neighbours(b[seen]))
     clear = CLEAR * np.maximum(spread, TINY)
+    known = np.isfinite(contrast)
+    most = float(np.quantile(contrast[known], MOST)) if known.any() else 0.0
     with np.errstate(invalid="ignore"):
+        empty = (contrast < DIM * most) & (alike < WHITE)
+        here[empty] = np.nan
         agrees = here > elsewhere
         contradicts = (elsewhere > here + HIGHER) & (elsewhere > clear)
     middle = (side - 1) / 2
     centres = tuple(s + middle for s in starts)
-    return Windows(centres, here, offset, agrees, contradicts)
+    return Windows(centres, here, offset, agrees, contradicts, empty)
 
 
 def length(v: Sequence[Array] | Array) -> Array:
@@ -177,6 +189,13 @@ def _starts(n: int, side: int, overlap: int) -> NDArray[np.intp]:
     """First pixels of windows from end to end, ``overlap`` of them or more on each pixel."""
     count = max(1, -(-overlap * (n - side) // side) + 1)
     return np.linspace(0, n - side, count).round().astype(np.intp)
+
+
+def _neighbours(f: Array) -> Array:
+    """Largest correlation of neighbours in standardised windows, along any axis."""
+    axes = tuple(range(1, f.ndim))
+    shifted = ((np.delete(f, 0, k), np.delete(f, -1, k)) for k in axes)
+    return np.max([(f1 * f0).sum(axis=axes) for f1, f0 in shifted], axis=0)
 
 
 def _standardised(f: Array, weight: Array) -> tuple[Array, Array]:

@@ -144,3 +144,20 @@ def test_a_field_that_follows_noise_is_doubtful(moved, rng, alpha):
     follows = alpha == 0.01
     assert (np.hypot(*(found.u - u)).mean() > 0.2) == follows
     assert any("leave the motion open" in reason for reason in found.trust.reasons) == follows
+
+
+@pytest.mark.parametrize(("dark", "expected"), [(0.2, "good"), (0.7, "doubtful")])
+def test_noise_around_a_sample_does_not_fail_it(moved, rng, dark, expected):
+    I1, I2, u = moved
+    rows = int(dark * SHAPE[0])
+    images = [I.copy() for I in (I1, I2)]
+    for I in images:
+        I[:rows] = 0.0
+        I += 0.01 * I1.std() * rng.normal(size=SHAPE)
+    trust = verdict(*images, u)
+    assert trust.verdict == expected
+    assert trust.agreeing > 0.9
+    assert trust.empty == pytest.approx(dark, abs=0.2)
+    assert (expected == "good") != any("nothing but noise" in reason for reason in trust.reasons)
+    # A sample that does not match fails as before.
+    assert verdict(*images, u + 5.0).verdict == "failed"
