@@ -175,8 +175,8 @@ def choose(
         def trials(blocks: Blocks) -> list[Trial]:
             return [
                 Trial(*part, fold, RIDGE * strength, np.ones_like(part[0].r), blocks)
-                for fold in held
                 for part in parts
+                for fold in held
             ]
 
         choice, _ = best_weight(trials, alpha, chosen)

@@ -72,7 +72,7 @@ class Trial:
         counts: Array,
         blocks: Blocks,
     ) -> None:
-        self.match, self.about, self.free, self.fold = match, about, free, fold
+        self.match, self.about, self.free = match, about, free
         (side, margin), shape = blocks, match.grid.shape
         out = held_out(shape, fold, side)
         self.counts = counts * (out & match.used)

@@ -8,7 +8,7 @@ for dense speckle, where they are noise.
 
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -63,9 +63,8 @@ def choose_alpha(
     Goes downhill from ``start`` in factors of 3, upwards first, then to the vertex of the
     parabola through the three best in log alpha: four or five solves for each of two quarters
     that are held out. Of large images, one quarter of some windows does, so that this takes the
-    same time for all; of small ones all quarters are held out, but one alone tells where to look.
-    Windows lie where motion is rough and where it is smooth, and count as what they stand for, see
-    `drawn`.
+    same time for all; of small ones all quarters are held out. Windows lie where motion is rough
+    and where it is smooth, and count as what they stand for, see `drawn`.
 
     Motion that varies within a few structures of the image has two minima: large weights
     smooth it away, those between follow some of it wrongly, and small ones find it. So
@@ -108,8 +107,8 @@ def choose_alpha(
                 counts / shares[w],
                 blocks,
             )
-            for fold in folds(match.grid.shape, len(parts))
             for w, counts in parts
+            for fold in folds(match.grid.shape, len(parts))
         ]
 
     even, blocks = best_weight(partial(trials, 1.0), start, before)
@@ -171,8 +170,27 @@ def least_misfit(
 
     Of a motion that is ``lost``, another minimum is looked for far below the first one.
     """
-    misfits = Misfits(trials, start)
-    misfit, k = misfits.at, misfits.best(lost)
+
+    @cache
+    def misfit(k: int) -> float:
+        return sum(t.misfit(start * STEP**k) for t in trials)
+
+    def downhill(first: int) -> int:
+        k = first
+        for step in (1, -1):  # larger weights first: their solves are cheaper
+            while abs(k + step - first) <= FARTHEST and misfit(k + step) < misfit(k):
+                k += step
+            if k != first:
+                break
+        return k
+
+    k = downhill(0)
+    high, low = max(k, 0), min(k, 0)
+    stiff = all(misfit(high + far) < (1 + STIFF) * misfit(high) for far in UP)
+    if lost or stiff:
+        low = _far_below(low, misfit, HOPELESS * misfit(k))
+        if misfit(low) < (1 if stiff else TELLS) * misfit(k):
+            k = downhill(low)
     left, middle, right = (misfit(j) for j in (k - 1, k, k + 1))
     curvature = left - 2 * middle + right
     shift = 0.5 * (left - right) / curvature if curvature > 0 else 0.0
@@ -185,54 +203,11 @@ def least_misfit(
     return Choice(best, max(best, min(asked, start * STEP**most)), misfit(k))
 
 
-class Misfits:
-    """Sums of the misfits of trials with the weights ``start * STEP**k``, and where they are least.
-
-    Most of the way is gone by the first quarter of the blocks alone.
-    """
-
-    def __init__(self, trials: Sequence[Trial], start: float) -> None:
-        self.trials, self.start = trials, start
-        self.few = sum(trial.fold == 0 for trial in trials)
-        self.known: dict[tuple[int, int], float] = {}
-
-    def at(self, k: int, few: bool = False) -> float:
-        """That of all trials, or of the first quarter."""
-        total, alpha = 0.0, self.start * STEP**k
-        for number, trial in enumerate(self.trials[: self.few] if few else self.trials):
-            if (number, k) not in self.known:
-                self.known[number, k] = trial.misfit(alpha)
-            total += self.known[number, k]
-        return total
-
-    def best(self, lost: bool) -> int:
-        """The k of the least one."""
-        start, k = 0, self._downhill(0, few=True)
-        high, low = max(k, 0), min(k, 0)
-        stiff = all(self.at(high + far, True) < (1 + STIFF) * self.at(high, True) for far in UP)
-        if lost or stiff:
-            below, much = self._far_below(low, self.at(k, True)), 1 if stiff else TELLS
-            if self.at(below, True) < much * self.at(k, True):
-                found = self._downhill(below, few=True)
-                if self.at(found) < much * self.at(k):
-                    start, k = below, found
-        return self._downhill(start, k)
-
-    def _downhill(self, start: int, first: int | None = None, few: bool = False) -> int:
-        """From the first one, no farther from a start."""
-        k = first = start if first is None else first
-        for step in (1, -1):  # larger weights first: their solves are cheaper
-            while abs(k + step - start) <= FARTHEST and self.at(k + step, few) < self.at(k, few):
-                k += step
-            if k != first:
-                break
-        return k
-
-    def _far_below(self, low: int, least: float) -> int:
-        """The best of some weights that are much less."""
-        probes = list[int]()
-        for far in PROBES:
-            probes.append(low - far)
-            if self.at(low - far, True) > HOPELESS * least:
-                break
-        return min(probes, key=lambda k: self.at(k, True))
+def _far_below(k: int, misfit: Callable[[int], float], hopeless: float) -> int:
+    """The best of some weights far below one, up to the first that is hopeless."""
+    probes = list[int]()
+    for far in PROBES:
+        probes.append(k - far)
+        if misfit(k - far) > hopeless:
+            break
+    return min(probes, key=misfit)

@@ -24,8 +24,8 @@ SIDES, ACROSS, OVERLAP = {2: (24, 64), 3: (16, 32)}, 6, {2: 2, 3: 1}
 # Part of a window that has to carry data, and contrast of one that shows something, relative to
 # the image's.
 SEEN, CONTRAST = 0.5, 0.01
-# Contrast, as a part of nearly the largest of a window, and correlation of neighbours, below which
-# both images show white noise alone there.
+# Contrast, as a part of nearly the largest of a window, and correlation of neighbours in the first
+# image (the second is interpolated), below which both show white noise alone there.
 DIM, MOST, WHITE = 0.3, 0.95, 0.25
 # Height of a clear peak, in robust standard deviations of the correlation around it.
 CLEAR = 5.0
@@ -147,7 +147,7 @@ def correlate(I1: Array, I2: Array, used: Mask, side: int | None = None) -> Wind
         offset[:, *k, seen] = _peaks(plane)
         spread[*k, seen] = np.median(np.abs(plane[:, ~near]), axis=1) / 0.6745
         contrast[*k, seen] = np.maximum(size1 / spreads[0], size2 / spreads[1])[seen]
-        alike[*k, seen] = np.maximum(_neighbours(a[seen]), _neighbours(b[seen]))
+        alike[*k, seen] = _neighbours(a[seen])
     clear = CLEAR * np.maximum(spread, TINY)
     known = np.isfinite(contrast)
     most = float(np.quantile(contrast[known], MOST)) if known.any() else 0.0
