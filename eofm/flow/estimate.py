@@ -163,7 +163,8 @@ def _estimate(I1: Array, I2: Array, settings: Estimation, known: Known, progress
 
 def without_standing(found: Estimate, estimate: Callable[[dict[str, float]], Estimate]) -> Estimate:
     """The estimate, or one without structures that stand while the sample moves, if less pulls."""
-    if not (way := found.standing.way_out):
+    # A field that follows noise, of which some structures have less, is pulled by that.
+    if not (way := found.standing.way_out) or found.standing.pull < found.spread:
         return found
     other = estimate(way)
     if not other.standing.pulls_less(found.standing):

@@ -69,7 +69,7 @@ class Standing(NamedTuple):
     @property
     def way_out(self) -> dict[str, float]:
         """What a setting has to be that structures which stand may not count; empty if none do."""
-        if self.medium.surely(ENOUGH, SURE) and self.fine.by < self.medium.by / 2:
+        if self.medium.surely(ENOUGH, SURE) and self.fine.by < 0:
             return WITHOUT_FINE
         errors, least = BEHIND
         behind = self.coarse._replace(by=-self.coarse.by).surely(least, errors)

@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import eofm
-from eofm.flow.standing import standing
+from eofm.flow.standing import Farther, Standing, standing
 from eofm.imaging.splines import warp
 
 SHAPE = (120, 150)
@@ -99,3 +99,17 @@ def test_error_bars_know_the_pull():
     assert found.standing.pull > 0.01
     bars = np.sqrt((found.deviation(samples=24) ** 2).sum(0))
     assert np.median(bars) > 0.7 * error(found, u)
+
+
+@pytest.mark.parametrize(
+    ("fine", "medium", "coarse", "way"),
+    [
+        ((-0.1, 0.01), (0.2, 0.02), (0.2, 0.03), {"denoising": 2.0}),
+        ((-0.1, 0.01), (0.2, 0.10), (0.2, 0.03), {}),  # not sure
+        ((0.03, 0.001), (0.2, 0.02), (0.2, 0.03), {}),  # all are pulled: too smooth
+        ((0.05, 0.01), (-0.1, 0.01), (-0.5, 0.05), {"local_window": 4.0}),
+        ((0.05, 0.01), (0.05, 0.01), (0.0, 0.05), {}),
+    ],
+)
+def test_the_way_out_is_that_of_structures_which_disagree(fine, medium, coarse, way):
+    assert Standing(Farther(*fine), Farther(*medium), Farther(*coarse)).way_out == way
