@@ -11,7 +11,12 @@ import pytest
 from hypothesis import settings
 
 import eofm
+from eofm import threads
 from eofm.compiled import use_threads
+
+# As the command does: the processes of the tests take all cores as it is, and BLAS in each would
+# take all of them once more.
+threads.use_threads(None)
 
 # The same examples in every run, on machines of any speed.
 settings.register_profile("eofm", deadline=None, derandomize=True, max_examples=50)
