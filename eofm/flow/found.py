@@ -93,17 +93,18 @@ class Estimate:
     @cached_property
     def trust(self) -> Trust:
         """Whether the images, on the last scale, bear the estimate out."""
-        # As they are: not even their brightness is fitted.
-        (warped, used), pair = self.pair.warped(self.lengths), self.pair
-        samples = pair.grid.samples(self.lengths)
-        more = (self.spread, self.standing)
-        return judge(pair.I1, warped, used, samples, self.edges, *more).on(self.u.shape[1:])
+        more = (self.edges, self.spread, self.standing)
+        return judge(*self._carried_back(), *more).on(self.u.shape[1:])
 
     @cached_property
     def standing(self) -> Standing:
         """Whether something stands still in the images while the sample moves."""
-        (warped, used), pair = self.pair.warped(self.lengths), self.pair
-        return standing(pair.I1, warped, used, pair.grid.samples(self.lengths))
+        return standing(*self._carried_back())
+
+    def _carried_back(self) -> tuple[Array, Array, Mask, Array]:
+        """The images as they are, not even their brightness fitted; where; by what, samples."""
+        u = self.lengths
+        return self.pair.I1, *self.pair.warped(u), self.pair.grid.samples(u)
 
     @property
     def spread(self) -> float:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from eofm.flow.start import difference
 from eofm.grid import Array, Mask
 from eofm.imaging.gaussian import blur
 from eofm.imaging.splines import gradient
@@ -95,12 +96,9 @@ def standing(I1: Array, warped: Array, used: Mask, u: Array) -> Standing:
     """
     if not used.any():
         return Standing(Farther(), Farther(), Farther())
-    change = np.where(used, warped - I1, 0)
     # Of brightness and contrast only what is alike everywhere is taken off.
-    gain = float(np.std(I1, where=used) / (np.std(I1 + change, where=used) + TINY))
-    change = gain * (I1 + change) - I1
-    change -= np.mean(change, where=used)
-    change *= used
+    change = np.zeros_like(I1)
+    change[used] = -difference(I1[used], warped[used])[0]
     mean = I1 + change / 2
     length = np.maximum(np.sqrt((u**2).sum(0)), STILL)
     found = []

@@ -146,7 +146,7 @@ def left(I1: Array, I2: Array, dead: Mask, u: Array) -> tuple[Array, Mask, float
     used &= ~dead
     if not used.any():
         return np.zeros(0), used, 1.0
-    rest, gain = _rest(I1[used], warped[used])
+    rest, gain = difference(I1[used], warped[used])
     return rest, used, gain
 
 
@@ -162,11 +162,11 @@ def ratio_left(I1: Array, I2: Array, dead: Mask, u: Array, other: Array) -> floa
     both, enough = seen & there, np.count_nonzero(~dead) / 2
     if np.count_nonzero(both) < enough:
         return np.inf if np.count_nonzero(there) < enough else 0.0
-    much, less = (_rest(I1[both], warped[both])[0].var() for warped in (first, second))
+    much, less = (difference(I1[both], warped[both])[0].var() for warped in (first, second))
     return float(less / (much + TINY))
 
 
-def _rest(before: Array, after: Array) -> tuple[Array, float]:
+def difference(before: Array, after: Array) -> tuple[Array, float]:
     """What is left of values, but for a gain and an offset, and the gain."""
     gain = float(before.std() / (after.std() + TINY))
     rest = before - gain * after

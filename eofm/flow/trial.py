@@ -16,8 +16,7 @@ from eofm.grid import Array, Mask
 # else tells, makes do with FEWEST. Where there are fewer than MANY, all are held out by turns, and
 # one quarter alone from PLENTY on; a block of a volume holds eight times as much.
 BLOCKS, FEWEST, MANY, PLENTY = 20, 8, {2: 256, 3: 64}, {2: math.inf, 3: 256}
-# Sides of blocks, and pixels around them that are not used either: the noise of images that were
-# filtered is correlated, and would be fitted on both sides of the border.
+# Side of blocks, and the pixels around them that are not used either.
 Blocks = tuple[int, int]
 # Weight of volumes, times the first one, above which rounding in single precision outweighs the
 # images. The motion is as good as affine there.
