@@ -223,7 +223,7 @@ def _coarse_to_fine(
         coarser = pairs[max(0, len(pairs) - FINEST)]
         shading = coarser.shading(resize_field(u, coarser.grid.shape))
         # Of a volume, that would be half of the work once more.
-        if ndim == 2 and shading < STEADY and (better := steady(level, u, alpha)):
+        if ndim == 2 and shading < STEADY and (better := steady(level, u, alpha, factor)):
             pair, (u, alpha, F, _, factor) = better
     spacing = unit_spacing(known.sides(ndim))
     u = problem.carried(u, shape) / componentwise(spacing, ndim)
@@ -232,7 +232,9 @@ def _coarse_to_fine(
     return Run(found, shading > SHADED, turns)
 
 
-def steady(level: Level, u: Array, alpha: float) -> tuple[ImagePair, Improved] | None:
+def steady(
+    level: Level, u: Array, alpha: float, ease: Array | None
+) -> tuple[ImagePair, Improved] | None:
     """A field for images of one gain and one offset, and the images so, if it is clearly better.
 
     What is left of the motion of large structures looks like a change of brightness, and one that
@@ -244,7 +246,8 @@ def steady(level: Level, u: Array, alpha: float) -> tuple[ImagePair, Improved] |
     if before.noise > QUIET * level.pair.I1.std():
         return None
     pair = replace(level.pair, even=True)
-    found = replace(level, pair=pair, coarse=u, decides=False).improve((alpha,), False)
+    even = replace(level, pair=pair, coarse=u, decides=False, ease=ease)
+    found = even.improve((alpha,), False)
     after = level.pair.linearise(found.u)
     return (pair, found) if after.noise < BETTER * before.noise else None
 

@@ -151,6 +151,8 @@ class Level:
         Whether alpha is chosen on it; whether it is the last one.
     still : bool
         Whether the images are linearised about no motion first.
+    ease : ndarray, optional
+        By which alpha is divided at each pixel, where it is not chosen on this grid.
     """
 
     problem: Problem
@@ -164,6 +166,7 @@ class Level:
     decides: bool
     finest: bool
     still: bool
+    ease: Array | None = None
 
     def functional(self, match: Match, alpha: float, factor: Array | None = None) -> Quadratic:
         """F of ``v`` less what is prescribed; ``factor`` multiplies all terms but R."""
@@ -178,8 +181,7 @@ class Level:
         ``chosen`` are the weights that coarser grids have chosen.
         """
         settings, F = self.problem.settings, cast(Quadratic, None)
-        factor: Array | None = None
-        weight = settings.alpha
+        factor, weight = self.ease, settings.alpha
         u = self.problem.carried(self.coarse, self.pair.grid.shape)
         about = self.base + self.prescribed if self.prescribed.any() else self.base
         # The first field of a scale may still be far from it, and its residual no noise.
