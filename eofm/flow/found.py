@@ -93,7 +93,7 @@ class Estimate:
     @cached_property
     def trust(self) -> Trust:
         """Whether the images, on the last scale, bear the estimate out."""
-        more = (self.edges, self.spread, self.standing)
+        more = (self.edges, self.spread, self.standing.pull)
         return judge(*self._carried_back(), *more).on(self.u.shape[1:])
 
     @cached_property

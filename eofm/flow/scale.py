@@ -271,21 +271,20 @@ def solve(scale: Scale, tile: Tile, start: Array, choice: Choice, draws: int, se
     better = rest.improve((choice.alpha,), False)
     u, edges = better.u, tuple(level.problem.v_edges)
     samples = level.pair.grid.samples(u)
-    deviation = None
-    if draws:
-        found = Estimate(
-            samples,
-            better.alpha,
-            level.pair,
-            settings.denoising,
-            better.functional,
-            level.base,
-            better.ease,
-            np.zeros(samples.shape[1:], dtype=bool),  # a tile does not see frames
-            scale.grid.spacing,
-        )
-        deviation = found.deviation(draws, seed)
+    found = Estimate(
+        samples,
+        better.alpha,
+        level.pair,
+        settings.denoising,
+        better.functional,
+        level.base,
+        better.ease,
+        np.zeros(samples.shape[1:], dtype=bool),  # a tile does not see frames
+        scale.grid.spacing,
+    )
+    deviation = found.deviation(draws, seed) if draws else None
     match, inner = replace(level.pair, robust=False).linearise(u), tile.inner
     I1, used = level.pair.I1[inner], match.used[inner]
-    trust = judge(I1, I1 + match.r[inner], used, samples[:, *inner], edges)
+    said = (edges, found.spread, found.standing.pull)
+    trust = judge(I1, I1 + match.r[inner], used, samples[:, *inner], *said)
     return Solved(u, trust, deviation)

@@ -22,8 +22,8 @@ PARTS, FEWEST = {2: 4, 3: 3}, 6
 # Displacement below which it has no direction, px.
 STILL = 0.1
 # How many errors tell that structures have moved farther; and by how much they have, px, where
-# finer ones stand, and where the estimate is to be doubted.
-SURE, ENOUGH, DOUBTED = 4.0, 0.02, 0.05
+# finer ones stand.
+SURE, ENOUGH = 4.0, 0.02
 # How much farther fine ones have where coarse ones stand, and how many errors and px tell that
 # these are left behind: they pull a little, and disagree by far.
 FAINTLY, BEHIND = 0.01, (3.0, 0.05)
@@ -57,11 +57,6 @@ class Standing(NamedTuple):
         """How much farther some have surely moved, px."""
         told = (f.by for f in (self.fine, self.medium) if f.surely(0, SURE))
         return max(told, default=0.0)
-
-    @property
-    def doubtful(self) -> bool:
-        """Whether that is too much."""
-        return self.pull > DOUBTED
 
     def pulls_less(self, before: "Standing") -> bool:
         """Whether another way to estimate was clearly better."""

@@ -12,7 +12,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from eofm.flow.standing import Standing
 from eofm.flow.windows import Windows, correlate, length
 from eofm.grid import FACES, Array, Edge, Mask
 
@@ -24,9 +23,10 @@ Verdict = Literal["good", "doubtful", "failed"]
 AGREED = 0.75, 0.35
 # What else raises doubts: the share of windows that contradict, the share that agree in a part of
 # the image, the median correlation, the drift of a part in px, the share of pixels that are folded
-# over, and that carry data; and how far the images leave the motion open, px.
+# over, and that carry data; how far the images leave the motion open, and how much farther
+# structures of one width have moved, px.
 CONTRADICTED, PARTLY, CORRELATED, DRIFTED, FOLDED, USED = 0.05, 0.5, 0.7, 0.25, 0.005, 0.1
-OPEN = 0.3
+OPEN, PULLED = 0.3, 0.05
 # Rows from an edge whose line tells where the images would have it, and how far off it may be, px.
 ROWS, JUMP = (8, 24), 0.5
 # Slices, or rows, whose gradients are taken at once.
@@ -63,6 +63,9 @@ class Trust:
         Shares of the pixels where ``det(I + grad u) <= 0``, and that carry data.
     empty : float
         Share of the windows with data that show white noise alone, and are not in the others.
+    spread, pull : float
+        About how far the images leave the displacement open, and how much farther structures of
+        one width have moved, px.
     """
 
     verdict: Verdict
@@ -76,6 +79,8 @@ class Trust:
     folded: float
     used: float
     empty: float
+    spread: float
+    pull: float
 
     def on(self, shape: tuple[int, ...]) -> "Trust":
         """Return the same with a map of another size, each pixel taking the nearest value."""
@@ -123,7 +128,7 @@ def judge(
     u: Array,
     edges: Collection[Edge] = (),
     spread: float = 0.0,
-    standing: Standing | None = None,
+    pull: float = 0.0,
 ) -> Trust:
     """Verdict on a displacement.
 
@@ -137,10 +142,8 @@ def judge(
         In px.
     edges : collection of str
         Those whose motion was stated.
-    spread : float
-        About how far the images leave the displacement open, px.
-    standing : Standing, optional
-        Whether something stands still while the sample moves.
+    spread, pull : float
+        See :class:`Trust`.
     """
     windows = correlate(I1, warped, used)
     known = np.isfinite(windows.here)
@@ -154,21 +157,11 @@ def judge(
         "folded": folds(u),
         "used": float(used.mean()),
         "empty": float(windows.empty.sum() / max(int((known | windows.empty).sum()), 1)),
+        "spread": spread,
+        "pull": pull,
     }
     failed = _failures(**shares)
     doubts = [] if failed else _doubts(**shares)
-    # A field that follows noise makes windows agree, too.
-    if spread > OPEN:
-        doubts.append(
-            f"the images leave the motion open by {spread:.1f} px or so; average frames, press in"
-            " smaller steps, or state edges or a background"
-        )
-    if standing is not None and standing.doubtful:
-        doubts.append(
-            f"structures of one width have moved {standing.pull:.2f} px farther: the field is too"
-            " smooth, or something stands still and pulls at it (dirt, a mesh, noise that comes"
-            " back); take that off both images, or press in larger steps"
-        )
     doubts += _contradicted(windows, u, edges)
     if np.allclose(I1, warped, atol=SAME) and np.allclose(u, 0, atol=SAME):
         doubts.append(SAME_IMAGES)
@@ -188,7 +181,8 @@ def pooled(parts: Sequence[Mapping[str, Any]], voxels: Sequence[int]) -> Trust:
         total = sum(w * part[key] for w, part in zip(weights, parts, strict=True))
         return float(total / max(sum(weights), TINY))
 
-    shares = {key: mean(key, data) for key in ("agreeing", "contradicting", "correlation", "empty")}
+    said_of_data = ("agreeing", "contradicting", "correlation", "empty", "spread", "pull")
+    shares = {key: mean(key, data) for key in said_of_data}
     shares |= {key: mean(key, voxels) for key in ("folded", "used")}
     shares["part"] = min((p["agreeing"] for p in parts if p["used"] > USED), default=1.0)
     shares["drift"] = max(part["drift"] for part in parts)
@@ -223,6 +217,8 @@ def _doubts(
     folded: float,
     used: float,
     empty: float,
+    spread: float,
+    pull: float,
 ) -> list[str]:
     doubts = []
     if empty > 1 - AGREED[0]:
@@ -254,6 +250,18 @@ def _doubts(
         doubts.append(f"a part of the image is off by {drift:.1f} px; see the map of trust")
     if folded > FOLDED:
         doubts.append(f"the motion folds {folded:.1%} of the image over, which no sample does")
+    # A field that follows noise makes windows agree, too.
+    if spread > OPEN:
+        doubts.append(
+            f"the images leave the motion open by {spread:.1f} px or so; average frames, press in"
+            " smaller steps, or state edges or a background"
+        )
+    if pull > PULLED:
+        doubts.append(
+            f"structures of one width have moved {pull:.2f} px farther: the field is too smooth, or"
+            " something stands still and pulls at it (dirt, a mesh, noise that comes back); take"
+            " that off both images, or press in larger steps"
+        )
     return doubts
 
 

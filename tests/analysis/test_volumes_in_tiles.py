@@ -162,6 +162,27 @@ def test_results_of_tiles(made):
 
 
 @pytest.mark.slow
+def test_tiles_say_what_the_whole_says_of_what_stands_still(tmp_path):
+    u = np.broadcast_to(np.reshape([0.5, 0.3, -0.4], (3, 1, 1, 1)), (3, 40, 48, 72))
+    noise = 0.15 * np.random.default_rng(5).normal(size=u.shape[1:])
+    images = [(I + noise).astype(np.float32) for I in speckle(u)]
+    files = [tmp_path / "a.npy", tmp_path / "b.npy"]
+    for file, I in zip(files, images, strict=True):
+        np.save(file, I)
+    whole = eofm.estimate_displacement(*images, Estimation(denoising=0.0)).trust
+    pair = Pair(reference=files[0], deformed=files[1], error_bars=0, figures="none")
+    coarse(pair, Estimation(denoising=0.0), Tiling(tiles=(2, 1, 1), overlap=12), tmp_path / "work")
+    for number in (0, 1):
+        tile(tmp_path / "work", 0, number)
+    trust = write_gathered(tmp_path / "work", tmp_path / "results")
+    for said in (whole, trust):
+        assert said.pull > 0.05
+        assert any("stands still" in reason for reason in said.reasons)
+    assert trust.pull == pytest.approx(whole.pull, rel=0.3)
+    assert trust.spread == pytest.approx(whole.spread, rel=0.3)
+
+
+@pytest.mark.slow
 def test_two_scales_in_tiles_and_faces_that_are_known(tmp_path, capsys):
     u = moved((24, 48, 96))
     u[1] -= u[1, :, :1]

@@ -6,6 +6,7 @@ from scipy.ndimage import gaussian_filter
 
 import eofm
 from eofm.flow.standing import Farther, Standing, standing
+from eofm.flow.trust import PULLED
 from eofm.imaging.splines import warp
 
 SHAPE = (120, 150)
@@ -49,7 +50,7 @@ def test_tells_how_much_farther_a_sample_has_moved(shape, mean, part):
     # The sign: I2 at x + u / (1 + part) is the sample at less than where it has moved to.
     for structures in (found.fine, found.medium):
         assert structures.by == pytest.approx(expected, rel=0.05, abs=1e-3)
-    assert found.doubtful == (expected > 0.05)
+    assert (found.pull > PULLED) == (expected > 0.05)
     assert not found.way_out
 
 
