@@ -22,6 +22,7 @@ from typing import Any, Self
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import DTypeLike
 
 from eofm.flow.operator import Operator, axis_tables
 from eofm.flow.stencils3 import product
@@ -230,7 +231,7 @@ class Quadratic:
 
         def draw() -> Array:
             shapes = ([M.shape[0] for M in P[::-1]] for P in roots)
-            noise = (rng.standard_normal(shape).astype(dtype, copy=False) for shape in shapes)
+            noise = (signs(rng, shape, dtype) for shape in shapes)
             parts = (_apply([M.T for M in P], z) for P, z in zip(roots, noise, strict=True))
             return sqrt(self.alpha) * reduce(np.add, parts)
 
@@ -241,6 +242,14 @@ class Quadratic:
         v = np.zeros_like(self.terms.b)
         v[:, self.free] = x.reshape(len(v), -1)
         return v
+
+
+def signs(rng: np.random.Generator, shape: Sequence[int], dtype: DTypeLike) -> Array:
+    """White noise of variance 1 in a tenth of the time of normal numbers."""
+    noise = rng.integers(2, size=shape, dtype=np.int8).astype(dtype)
+    noise *= 2
+    noise -= 1
+    return noise
 
 
 def smoothness_energy(grid: Grid, smoothness: str) -> sp.coo_array:

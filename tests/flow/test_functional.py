@@ -18,6 +18,7 @@ from eofm.flow.functional import (
     Quadratic,
     data_term,
     pairs,
+    signs,
     smoothness_energy,
     speckle_term,
 )
@@ -137,8 +138,9 @@ def test_rough_functionals_have_the_covariance_of_the_smoothness(smoothness):
         def __init__(self, k):
             self.left = k
 
-        def standard_normal(self, size):
-            z = np.zeros(size)
+        def integers(self, high, size, dtype):
+            assert high == 2  # of which signs are made: 0.5 becomes 0
+            z = np.full(size, 0.5)
             if 0 <= self.left < z.size:
                 z.flat[self.left] = 1
             self.left -= z.size
@@ -148,6 +150,14 @@ def test_rough_functionals_have_the_covariance_of_the_smoothness(smoothness):
     root = np.stack(root)
     assert len(root) < 900  # all of them
     np.testing.assert_allclose(root.T @ root, F.a().toarray() / 2, atol=1e-12)
+
+
+def test_signs_are_white_and_of_variance_1(rng):
+    z = signs(rng, (200, 300), np.float32)
+    assert z.dtype == np.float32
+    assert set(np.unique(z)) == {-1, 1}
+    for mean in (z.mean(), (z[1:] * z[:-1]).mean(), (z[:, 1:] * z[:, :-1]).mean()):
+        assert abs(mean) < 4 / np.sqrt(z.size)
 
 
 def test_data_term_is_the_square_of_the_flow_equation(rng):
