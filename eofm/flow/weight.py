@@ -28,8 +28,9 @@ STEP, FARTHEST = 3.0, 6
 # weights follow noise, and their solves take longest: none of a hundred scenes had a better one
 # beyond a weight whose misfit was 1.13 times that from which it was looked for.
 LOST, PROBES, TELLS, HOPELESS = 0.25, (2, 4, 6, 8, 10, 12), 0.9, 1.4
-# Part of the misfit that is left at most if a weight that varies is to be believed.
-GAIN = 0.999
+# Part of the misfit that is left at most if a weight that varies is to be believed, and by how many
+# steps it is less than one that does not vary: along a crack that is too large.
+GAIN, EASIER = 0.999, (0, 1, 2)
 # By how little weights larger by so many steps change the misfit where the motion is as stiff as
 # one can make it, so that nothing leads downhill.
 STIFF, UP = 1e-3, (1, 4)
@@ -115,9 +116,10 @@ def choose_alpha(
     if ease is None:
         return even
     uneven = trials(ease, blocks)
-    if sum(t.misfit(even.best) for t in uneven) > GAIN * even.misfit:
-        return even
-    return least_misfit(uneven, even.best, before or (even.best,))._replace(eased=True)
+    for start in (even.best / STEP**k for k in EASIER):
+        if sum(t.misfit(start) for t in uneven) <= GAIN * even.misfit:
+            return least_misfit(uneven, start, before or (even.best,))._replace(eased=True)
+    return even
 
 
 class Choice(NamedTuple):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import eofm.flow.estimate
+import eofm.flow.weight
 from eofm.flow.estimate import estimate_displacement
 from eofm.flow.functional import Quadratic
 from eofm.flow.known import Known
@@ -196,20 +197,35 @@ def test_smoothing_is_eased_where_motion_is_rough():
     assert found.weight[edge].mean() < 0.3 * found.weight[~edge].mean()
 
 
-def test_images_of_one_gain_keep_where_smoothing_is_eased(monkeypatch):
-    """Halves that slide: a weight that is small beside the line alone follows noise elsewhere."""
-    shape = (120, 150)
-    x2, _ = np.mgrid[: shape[0], : shape[1]] - 66.0
+def sliding(shape, width, noise, seed):
+    """Halves that slide along each other: the displacement, and images of some structures."""
+    x2, _ = np.mgrid[: shape[0], : shape[1]] - 0.55 * shape[0]
     u = np.stack([np.where(x2 < 0, 1.0, -1.0), -0.01 * x2])
-    rng = np.random.default_rng(1)
-    I = blur(rng.normal(size=shape), 2.0)
-    noise = 0.03 * I.std() * rng.normal(size=(2, *shape))
-    images = warp(I, u)[0] + noise[0], I + noise[1]
+    rng = np.random.default_rng(seed)
+    I = blur(rng.normal(size=shape), width)
+    added = noise * I.std() * rng.normal(size=(2, *shape))
+    return u, (warp(I, u)[0] + added[0], I + added[1])
+
+
+def test_a_weight_that_varies_may_have_to_be_less(monkeypatch):
+    u, images = sliding((120, 150), 4.0, 0.01, 2)
+    found = estimate_displacement(*images)
+    monkeypatch.setattr(eofm.flow.weight, "EASIER", (0,))
+    even = estimate_displacement(*images)
+    assert even.ease is None
+    assert found.ease is not None
+    less, much = (np.hypot(*(f.u - u)).mean() for f in (found, even))
+    assert less < 0.96 * much
+
+
+def test_images_of_one_gain_keep_where_smoothing_is_eased(monkeypatch):
+    """A weight that is small beside the line alone follows noise elsewhere."""
+    u, images = sliding((120, 150), 2.0, 0.03, 1)
     usual = estimate_displacement(*images)
     monkeypatch.setattr(eofm.flow.estimate, "BETTER", np.inf)
     found = estimate_displacement(*images)
     assert (usual.pair.even, found.pair.even) == (False, True)
-    far = np.abs(x2) > 16
+    far = np.abs(np.arange(120) - 66) > 16
     error, before = (np.hypot(*(f.u - u))[far].mean() for f in (found, usual))
     assert found.ease is not None
     assert error < 1.2 * before
