@@ -112,8 +112,16 @@ class Analysis:
 
     @property
     def trust(self) -> Trust:
-        """The verdict of the step with the worst one."""
-        return worst(self.steps)
+        """The verdict of the step with the worst one; of several, why, and in which ones."""
+        trust, count = worst(self.steps), len(self.steps)
+        if count == 1:
+            return trust
+        reasons = (
+            f"step {k} of {count} (frames {k} and {k + 1}): {step.trust.reasons[0]}"
+            for k, step in enumerate(self.steps, 1)
+            if step.trust.verdict == trust.verdict != "good"
+        )
+        return replace(trust, reasons=tuple(reasons))
 
     def draw(self) -> "dict[str, Figure]":
         """Return the figures by name: pair, displacement, strain, quality and stiffness."""

@@ -173,6 +173,18 @@ def test_a_sequence_adds_up(files, truth):
     assert tifffile.imread(files / "increments.tif").shape == (4, *truth.shape[1:])
 
 
+def test_the_step_of_a_sequence_that_fails_is_named(truth):
+    steps = ((truth / 2, 3), (truth, 3), (truth, 8))
+    I1 = eofm.make_phantom(truth, eofm.Phantom(count=90, seed=3))[0]
+    frames = [eofm.make_phantom(u, eofm.Phantom(count=90, seed=seed))[1] for u, seed in steps]
+    alone = Pair(error_bars=0, reference="a", deformed="b")
+    result = eofm.analyse(I1, *frames, measures=alone, estimation=QUICK)
+    assert [step.trust.verdict for step in result.steps] == ["good", "good", "failed"]
+    assert result.trust.verdict == "failed"
+    (reason,) = result.trust.reasons
+    assert reason.startswith("step 3 of 3 (frames 3 and 4): only ")
+
+
 def test_brightness_that_changes_from_place_to_place(rng):
     from conftest import speckle
 
