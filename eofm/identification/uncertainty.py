@@ -6,7 +6,7 @@ of the modulus: the deviation of a sample of the posterior is
 for each block of pixels.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, cast
@@ -35,7 +35,7 @@ LARGEST_GAMMA = 30.0
 STUDENT = 1.2
 # Least deviation of log E: a modulus is taken to be constant in elements, and in inclusions.
 LEAST = 0.01
-# Width of the average of the folds' variances, px: four of them tell little of one place.
+# Width of the average of the folds' variances of log E, px: four of them tell little of one place.
 WIDTH = 3.0
 
 
@@ -56,12 +56,16 @@ class Errors:
     def deviations(self, samples: int, seed: int) -> tuple[Array, Array]:
         """Return the standard deviations of the displacement and of log E at the pixels.
 
-        That of log E is the largest of three, none of which knows all: of the posterior, of
-        parts of the bubbles left out, and of priors that held-out bubbles do not rule out. They
+        They are the largest of some, none of which knows all: of the posterior, of parts of the
+        bubbles left out, and, of log E, of priors that held-out bubbles do not rule out. They
         share the noise of the data, so that their sum would count it twice.
         """
+        fits, sides = self.choice.fits, componentwise(self.fit.problem.model.spacing, 2)
         u, log_E = self._posterior(samples, seed)
-        return u, np.maximum.reduce([log_E, self._folds, self._priors, np.full_like(log_E, LEAST)])
+        folds_u = np.sqrt(jackknife([fit.u / sides for fit in fits]))
+        folds_E = np.sqrt(blur(jackknife([fit.log_E for fit in fits]), WIDTH))
+        log_E = np.maximum.reduce([log_E, folds_E, self._priors, np.full_like(log_E, LEAST)])
+        return np.maximum(u, folds_u), log_E
 
     def _posterior(self, samples: int, seed: int) -> tuple[Array, Array]:
         problem, z, rng = self.fit.problem, self.fit.z, np.random.default_rng(seed)
@@ -110,17 +114,6 @@ class Errors:
             yield cho_solve(factor, right) @ changes
 
     @cached_property
-    def _folds(self) -> Array:
-        """Jackknife deviation, from parts of the bubbles left out.
-
-        It knows what the linearised posterior does not: how far the fit follows single bubbles.
-        """
-        found = np.stack([fit.log_E for fit in self.choice.fits])
-        count = len(found)
-        squares = ((found - found.mean(0)) ** 2).sum(0)
-        return STUDENT * np.sqrt((count - 1) / count * blur(squares, WIDTH))
-
-    @cached_property
     def _priors(self) -> Array:
         """How far fits with other priors are off: a prior takes contrast off what it smooths."""
         found = self.fit.log_E
@@ -128,6 +121,15 @@ class Errors:
         for fits in self.choice.rivals:
             squares += (np.mean([fit.log_E for fit in fits], axis=0) - found) ** 2
         return np.sqrt(squares / max(len(self.choice.rivals), 1))
+
+
+def jackknife(found: Sequence[Array]) -> Array:
+    """Variance of what fits give, each of which a part of the bubbles was left out of.
+
+    It knows what the linearised posterior does not: how far a fit follows single bubbles.
+    """
+    count = len(found)
+    return STUDENT**2 * (count - 1) * np.var(found, axis=0)
 
 
 @serial
