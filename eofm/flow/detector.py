@@ -12,7 +12,7 @@ from eofm.flow.images import resized
 from eofm.flow.pair import LIVE
 from eofm.flow.start import left
 from eofm.grid import Array, Mask
-from eofm.imaging.flicker import flickers, level, without_changes
+from eofm.imaging.flicker import flickers, in_both, level, without_changes
 from eofm.imaging.lines import Lines, lines, means_along, without
 from eofm.imaging.splines import Spline
 
@@ -105,8 +105,7 @@ def without_flicker(
 def _compared(images: Both, dead: Mask, u: Array) -> tuple[Array, Array, Mask]:
     """What two images show after a displacement, but for its mean; what it leaves; and where."""
     rest, used, _ = left(*images, dead, u)
-    before = images[0][used]
-    return before - before.sum() / max(1, before.size) - rest / 2, rest, used
+    return in_both(images[0][used], rest), rest, used
 
 
 def _steady(images: Both, dead: Mask, u: Array, axes: tuple[int, ...]) -> Both:

@@ -12,11 +12,13 @@ from eofm.flow.functional import Quadratic
 from eofm.flow.matching import Match
 from eofm.flow.pair import ImagePair
 from eofm.flow.standing import Standing, standing
+from eofm.flow.start import difference
 from eofm.flow.trial import reach
 from eofm.flow.trust import Trust, judge
 from eofm.flow.uncertainty import Errors
 from eofm.flow.windows import length
 from eofm.grid import Array, Edge, Mask, componentwise
+from eofm.imaging.flicker import flickers, in_both
 from eofm.imaging.gaussian import blur
 from eofm.imaging.splines import resize, resize_field
 
@@ -100,6 +102,15 @@ class Estimate:
     def standing(self) -> Standing:
         """Whether something stands still in the images while the sample moves."""
         return standing(*self._carried_back())
+
+    @property
+    def flickers(self) -> bool:
+        """Whether lines of the images, as they are now, flicker."""
+        I1, warped, used, _ = self._carried_back()
+        if not used.any():
+            return False
+        rest, _ = difference(I1[used], warped[used])
+        return bool(flickers(in_both(I1[used], rest), rest, used))
 
     def _carried_back(self) -> tuple[Array, Array, Mask, Array]:
         """The images as they are, not even their brightness fitted; where; by what, samples."""

@@ -285,6 +285,6 @@ def solve(scale: Scale, tile: Tile, start: Array, choice: Choice, draws: int, se
     deviation = found.deviation(draws, seed) if draws else None
     match, inner = replace(level.pair, robust=False).linearise(u), tile.inner
     I1, used = level.pair.I1[inner], match.used[inner]
-    said = (edges, found.spread, found.standing.pull)
+    said = (edges, found.spread, found.standing.pull, float(found.flickers))
     trust = judge(I1, I1 + match.r[inner], used, samples[:, *inner], *said)
     return Solved(u, trust, deviation)

@@ -24,9 +24,9 @@ AGREED = 0.75, 0.35
 # What else raises doubts: the share of windows that contradict, the share that agree in a part of
 # the image, the median correlation, the drift of a part in px, the share of pixels that are folded
 # over, and that carry data; how far the images leave the motion open, and how much farther
-# structures of one width have moved, px.
+# structures of one width have moved, px; and the share of the image whose lines flicker.
 CONTRADICTED, PARTLY, CORRELATED, DRIFTED, FOLDED, USED = 0.05, 0.5, 0.7, 0.25, 0.005, 0.1
-OPEN, PULLED = 0.3, 0.05
+OPEN, PULLED, FLICKERS = 0.3, 0.05, 0.25
 # Rows from an edge whose line tells where the images would have it, and how far off it may be, px.
 ROWS, JUMP = (8, 24), 0.5
 # Slices, or rows, whose gradients are taken at once.
@@ -66,6 +66,8 @@ class Trust:
     spread, pull : float
         About how far the images leave the displacement open, and how much farther structures of
         one width have moved, px.
+    flicker : float
+        Share of the image whose lines flicker, and were not taken off: of tiles alone.
     """
 
     verdict: Verdict
@@ -81,6 +83,7 @@ class Trust:
     empty: float
     spread: float
     pull: float
+    flicker: float
 
     def on(self, shape: tuple[int, ...]) -> "Trust":
         """Return the same with a map of another size, each pixel taking the nearest value."""
@@ -129,6 +132,7 @@ def judge(
     edges: Collection[Edge] = (),
     spread: float = 0.0,
     pull: float = 0.0,
+    flicker: float = 0.0,
 ) -> Trust:
     """Verdict on a displacement.
 
@@ -142,7 +146,7 @@ def judge(
         In px.
     edges : collection of str
         Those whose motion was stated.
-    spread, pull : float
+    spread, pull, flicker : float
         See :class:`Trust`.
     """
     windows = correlate(I1, warped, used)
@@ -159,6 +163,7 @@ def judge(
         "empty": float(windows.empty.sum() / max(int((known | windows.empty).sum()), 1)),
         "spread": spread,
         "pull": pull,
+        "flicker": flicker,
     }
     failed = _failures(**shares)
     doubts = [] if failed else _doubts(**shares)
@@ -181,8 +186,8 @@ def pooled(parts: Sequence[Mapping[str, Any]], voxels: Sequence[int]) -> Trust:
         total = sum(w * part[key] for w, part in zip(weights, parts, strict=True))
         return float(total / max(sum(weights), TINY))
 
-    said_of_data = ("agreeing", "contradicting", "correlation", "empty", "spread", "pull")
-    shares = {key: mean(key, data) for key in said_of_data}
+    of_data = ("agreeing", "contradicting", "correlation", "empty", "spread", "pull", "flicker")
+    shares = {key: mean(key, data) for key in of_data}
     shares |= {key: mean(key, voxels) for key in ("folded", "used")}
     shares["part"] = min((p["agreeing"] for p in parts if p["used"] > USED), default=1.0)
     shares["drift"] = max(part["drift"] for part in parts)
@@ -219,6 +224,7 @@ def _doubts(
     empty: float,
     spread: float,
     pull: float,
+    flicker: float,
 ) -> list[str]:
     doubts = []
     if empty > 1 - AGREED[0]:
@@ -261,6 +267,11 @@ def _doubts(
             f"structures of one width have moved {pull:.2f} px farther: the field is too smooth, or"
             " something stands still and pulls at it (dirt, a mesh, noise that comes back); take"
             " that off both images, or press in larger steps"
+        )
+    if flicker > FLICKERS:
+        doubts.append(
+            f"slices flicker in {flicker:.0%} of the volume and pull at the field, which tiles do"
+            " not mend; give all slices one brightness and contrast, or cut out a region"
         )
     return doubts
 

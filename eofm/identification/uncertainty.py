@@ -56,9 +56,9 @@ class Errors:
     def deviations(self, samples: int, seed: int) -> tuple[Array, Array]:
         """Return the standard deviations of the displacement and of log E at the pixels.
 
-        They are the largest of some, none of which knows all: of the posterior, of parts of the
-        bubbles left out, and, of log E, of priors that held-out bubbles do not rule out. They
-        share the noise of the data, so that their sum would count it twice.
+        Each is the largest of two or three, none of which knows all: of the posterior, of parts
+        of the bubbles left out, and, for log E, of priors that held-out bubbles do not rule out.
+        They share the noise of the data, so that their sum would count it twice.
         """
         fits, sides = self.choice.fits, componentwise(self.fit.problem.model.spacing, 2)
         u, log_E = self._posterior(samples, seed)

@@ -37,14 +37,19 @@ CHUNK = 2**18
 TINY = float(np.finfo(np.float32).tiny)
 
 
+def in_both(before: Array, rest: Array) -> Array:
+    """What two images show alike, but for its mean: the first one, and what is left of it."""
+    return before - before.sum() / max(1, before.size) - rest / 2
+
+
 def flickers(seen: Array, rest: Array, used: Mask) -> tuple[int, ...]:
     """Axes of two images along which lines flicker.
 
     Parameters
     ----------
     seen, rest : ndarray, shape (N,)
-        What both images show after a displacement, and what it leaves of their difference, at the
-        N pixels that are ``used``.
+        What both images show after a displacement, see :func:`in_both`, and what it leaves of
+        their difference, at the N pixels that are ``used``.
     used : ndarray of bool, shape (height, width) or (depth, height, width)
     """
     rest, axes = _near(rest), []

@@ -140,7 +140,8 @@ def test_a_tile_has_the_same_bytes_for_any_number_of_threads(made, tmp_path):
 
 @pytest.mark.slow
 def test_results_of_tiles(made):
-    folder, *_ = made
+    folder, _, _, trust, _ = made
+    assert (trust.verdict, trust.pull, trust.flicker) == ("good", 0, 0)
     results = folder / "results"
     summary = json.loads((results / "summary.json").read_text())
     assert summary["tiles"] == [2, 2, 2]
@@ -161,25 +162,40 @@ def test_results_of_tiles(made):
     assert "2 x 2 x 2 tiles" in page
 
 
-@pytest.mark.slow
-def test_tiles_say_what_the_whole_says_of_what_stands_still(tmp_path):
-    u = np.broadcast_to(np.reshape([0.5, 0.3, -0.4], (3, 1, 1, 1)), (3, 40, 48, 72))
-    noise = 0.15 * np.random.default_rng(5).normal(size=u.shape[1:])
-    images = [(I + noise).astype(np.float32) for I in speckle(u)]
-    files = [tmp_path / "a.npy", tmp_path / "b.npy"]
-    for file, I in zip(files, images, strict=True):
-        np.save(file, I)
-    whole = eofm.estimate_displacement(*images, Estimation(denoising=0.0)).trust
+def in_two_tiles(folder, I1, I2, estimation):
+    """The verdict on two volumes that are estimated in two tiles."""
+    files = [folder / "a.npy", folder / "b.npy"]
+    for file, I in zip(files, (I1, I2), strict=True):
+        np.save(file, I.astype(np.float32))
     pair = Pair(reference=files[0], deformed=files[1], error_bars=0, figures="none")
-    coarse(pair, Estimation(denoising=0.0), Tiling(tiles=(2, 1, 1), overlap=12), tmp_path / "work")
+    coarse(pair, estimation, Tiling(tiles=(2, 1, 1), overlap=12), folder / "work")
     for number in (0, 1):
-        tile(tmp_path / "work", 0, number)
-    trust = write_gathered(tmp_path / "work", tmp_path / "results")
-    for said in (whole, trust):
-        assert said.pull > 0.05
-        assert any("stands still" in reason for reason in said.reasons)
-    assert trust.pull == pytest.approx(whole.pull, rel=0.3)
-    assert trust.spread == pytest.approx(whole.spread, rel=0.3)
+        tile(folder / "work", 0, number)
+    return write_gathered(folder / "work", folder / "results")
+
+
+@pytest.mark.slow
+def test_tiles_say_what_the_whole_says_of_what_stands_still(tmp_path, rng):
+    u = np.broadcast_to(np.reshape([0.5, 0.3, -0.4], (3, 1, 1, 1)), (3, 40, 48, 72))
+    noise = 0.15 * rng.normal(size=u.shape[1:])
+    images = [(I + noise).astype(np.float32) for I in speckle(u)]
+    estimation = Estimation(denoising=0.0)
+    whole = eofm.estimate_displacement(*images, estimation).trust
+    tiles = in_two_tiles(tmp_path, *images, estimation)
+    for trust in (whole, tiles):
+        assert trust.pull > 0.05
+        assert any("stands still" in reason for reason in trust.reasons)
+    assert tiles.pull == pytest.approx(whole.pull, rel=0.3)
+    assert tiles.spread == pytest.approx(whole.spread, rel=0.3)
+
+
+@pytest.mark.slow
+def test_tiles_say_that_slices_flicker(tmp_path, rng):
+    u = np.broadcast_to(np.reshape([0.5, 0.3, -0.4], (3, 1, 1, 1)), (3, 40, 48, 72))
+    images = (I * (1 + 0.2 * rng.normal(size=(40, 1, 1))) for I in speckle(u))
+    trust = in_two_tiles(tmp_path, *images, Estimation())
+    assert trust.flicker == 1
+    assert any("slices flicker in 100% of the volume" in reason for reason in trust.reasons)
 
 
 @pytest.mark.slow
