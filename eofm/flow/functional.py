@@ -209,10 +209,14 @@ class Quadratic:
         return replace(self, terms=Pointwise(self.terms.A, b))
 
     def smoothed(self, v: Array) -> Array:
-        """What ``alpha R`` asks of a field: its density, of the shape of ``terms.b``."""
+        """What ``alpha R`` asks of a field: its density, of the shape of ``terms.b``.
+
+        In double precision: factors that are rounded would ask something of an affine field, by
+        far more than images ask of it, where the sides of voxels are not alike.
+        """
         squares, force = smoothness_squares(self.grid, self.smoothness), np.empty_like(v)
         for target, c in zip(force, v, strict=True):
-            smooth = sum(_apply(Q, c) for Q in squares)
+            smooth = sum(_apply(Q, c.astype(np.float64, copy=False)) for Q in squares)
             np.multiply(self.alpha, smooth / self.grid.areas, out=target)
         return force
 

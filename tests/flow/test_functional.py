@@ -152,6 +152,20 @@ def test_rough_functionals_have_the_covariance_of_the_smoothness(smoothness):
     np.testing.assert_allclose(root.T @ root, F.a().toarray() / 2, atol=1e-12)
 
 
+@pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.87358, 0.65519, 1.74716)])
+def test_smoothness_asks_nothing_of_an_affine_field(spacing):
+    """Of a volume in single precision, whose sides are rounded, too: its values alone are."""
+    shape = (24, 28, 22)
+    terms = Pointwise(np.zeros((6, *shape), np.float32), np.zeros((3, *shape), np.float32))
+    F = Quadratic(Grid(shape, spacing), terms, 1.0, np.ones(shape, dtype=bool), "bending")
+    x = np.indices(shape)[::-1] * np.reshape(spacing, (3, 1, 1, 1))
+    v = np.stack([0.05 * x[0] - 0.02 * x[1], 0.04 * x[1], 0.03 * x[2] + 1]).astype(np.float32)
+    # What stretches the whole; that of factors in single precision would be 0.1.
+    force, x = F.smoothed(v) * F.grid.areas, x - x.mean(axis=(1, 2, 3), keepdims=True)
+    moments = np.abs(np.einsum("cijk,dijk->cd", force, x))
+    assert moments.max() < 1e-6
+
+
 def test_signs_are_white_and_of_variance_1(rng):
     z = signs(rng, (200, 300), np.float32)
     assert z.dtype == np.float32
