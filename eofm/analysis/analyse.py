@@ -211,7 +211,13 @@ def analyse(
         # Only of images is a stiffness wanted here.
         guess = sample or Sample(height=shape[-2], width=shape[-1])
         sought = (guess, identification) if measures.stiffness and not steps else None
-        step = _step(I1, I2, known, tracking, estimation, sought, measures.error_bars, progress)
+        try:
+            step = _step(I1, I2, known, tracking, estimation, sought, measures.error_bars, progress)
+        except InputError as error:
+            if len(frames) == 2:
+                raise
+            k = len(steps) + 1
+            raise InputError(f"frames {k} and {k + 1}: {error}") from None
         steps.append(step)
         # What was at x is at x + total(x) now, and moves on from there.
         if step.deviation is not None:
@@ -312,7 +318,14 @@ def _tracked(
     InputError
         If none is found, or none is left.
     """
-    bubbles = track(I1, I2, tracking, prediction=images.u)
+    try:
+        bubbles = track(I1, I2, tracking, prediction=images.u)
+    except InputError as error:
+        if images.trust.verdict != "failed":
+            raise
+        # No setting of the tracker makes two samples one.
+        said, _, _ = str(error).partition(";")
+        raise InputError(f"{said}; {images.trust.reasons[0]}") from None
     found = int(bubbles.attrs["found"])
     x, motion = (
         bubbles[[f"{name}{i + 1}" for i in range(I1.ndim)]].to_numpy().T for name in ("x", "u")

@@ -185,6 +185,17 @@ def test_the_step_of_a_sequence_that_fails_is_named(truth):
     assert reason.startswith("step 3 of 3 (frames 3 and 4): only ")
 
 
+def test_what_shows_something_else_is_named_where_no_bubble_can_be_followed(pair, rng):
+    I1, I2, _ = pair
+    other = rng.random(I1.shape)
+    measures = Pair(error_bars=0, reference="a", deformed="b")
+    advice = "could be followed; only .* check that both show the same sample"
+    with pytest.raises(eofm.InputError, match="^none of .* " + advice):
+        eofm.analyse(I1, other, measures=measures, estimation=QUICK)
+    with pytest.raises(eofm.InputError, match="^frames 2 and 3: none of .* " + advice):
+        eofm.analyse(I1, I2, other, measures=measures, estimation=QUICK)
+
+
 def test_brightness_that_changes_from_place_to_place(rng):
     from conftest import speckle
 
