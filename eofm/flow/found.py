@@ -96,23 +96,23 @@ class Estimate:
     def trust(self) -> Trust:
         """Whether the images, on the last scale, bear the estimate out."""
         more = (self.edges, self.spread, self.standing.pull)
-        return judge(*self._carried_back(), *more).on(self.u.shape[1:])
+        return judge(*self.carried_back(), *more).on(self.u.shape[1:])
 
     @cached_property
     def standing(self) -> Standing:
         """Whether something stands still in the images while the sample moves."""
-        return standing(*self._carried_back())
+        return standing(*self.carried_back())
 
     @property
     def flickers(self) -> bool:
         """Whether lines of the images, as they are now, flicker."""
-        I1, warped, used, _ = self._carried_back()
+        I1, warped, used, _ = self.carried_back()
         if not used.any():
             return False
         rest, _ = difference(I1[used], warped[used])
         return bool(flickers(in_both(I1[used], rest), rest, used))
 
-    def _carried_back(self) -> tuple[Array, Array, Mask, Array]:
+    def carried_back(self) -> tuple[Array, Array, Mask, Array]:
         """The images as they are, not even their brightness fitted; where; by what, samples."""
         u = self.lengths
         return self.pair.I1, *self.pair.warped(u), self.pair.grid.samples(u)

@@ -283,8 +283,8 @@ def solve(scale: Scale, tile: Tile, start: Array, choice: Choice, draws: int, se
         scale.grid.spacing,
     )
     deviation = found.deviation(draws, seed) if draws else None
-    match, inner = replace(level.pair, robust=False).linearise(u), tile.inner
-    I1, used = level.pair.I1[inner], match.used[inner]
+    I1, warped, used, moved = found.carried_back()
+    inner = tile.inner
     said = (edges, found.spread, found.standing.pull, float(found.flickers))
-    trust = judge(I1, I1 + match.r[inner], used, samples[:, *inner], *said)
+    trust = judge(I1[inner], warped[inner], used[inner], moved[:, *inner], *said)
     return Solved(u, trust, deviation)

@@ -152,27 +152,26 @@ def judge(
     windows = correlate(I1, warped, used)
     known = np.isfinite(windows.here)
     count = max(int(known.sum()), 1)
-    shares = {
-        "agreeing": float(windows.agrees.sum() / count),
-        "contradicting": float(windows.contradicts.sum() / count),
-        "correlation": float(np.median(windows.here[known])) if known.any() else 0.0,
-        "part": windows.least(),
-        "drift": windows.drift(),
-        "folded": folds(u),
-        "used": float(used.mean()),
-        "empty": float(windows.empty.sum() / max(int((known | windows.empty).sum()), 1)),
-        "spread": spread,
-        "pull": pull,
-        "flicker": flicker,
-    }
-    failed = _failures(**shares)
-    doubts = [] if failed else _doubts(**shares)
-    doubts += _contradicted(windows, u, edges)
+    trust = Trust(
+        "good",
+        (),
+        np.where(used, windows.on_pixels(I1.shape), np.nan),
+        agreeing=float(windows.agrees.sum() / count),
+        contradicting=float(windows.contradicts.sum() / count),
+        part=windows.least(),
+        correlation=float(np.median(windows.here[known])) if known.any() else 0.0,
+        drift=windows.drift(),
+        folded=folds(u),
+        used=float(used.mean()),
+        empty=float(windows.empty.sum() / max(int((known | windows.empty).sum()), 1)),
+        spread=spread,
+        pull=pull,
+        flicker=flicker,
+    )
+    said = _contradicted(windows, u, edges)
     if np.allclose(I1, warped, atol=SAME) and np.allclose(u, 0, atol=SAME):
-        doubts.append(SAME_IMAGES)
-    verdict: Verdict = "failed" if failed else "doubtful" if doubts else "good"
-    trust = np.where(used, windows.on_pixels(I1.shape), np.nan)
-    return Trust(verdict, (*failed, *doubts), trust, **shares)
+        said.append(SAME_IMAGES)
+    return _judged(trust, said)
 
 
 def pooled(parts: Sequence[Mapping[str, Any]], voxels: Sequence[int]) -> Trust:
@@ -191,87 +190,89 @@ def pooled(parts: Sequence[Mapping[str, Any]], voxels: Sequence[int]) -> Trust:
     shares |= {key: mean(key, voxels) for key in ("folded", "used")}
     shares["part"] = min((p["agreeing"] for p in parts if p["used"] > USED), default=1.0)
     shares["drift"] = max(part["drift"] for part in parts)
-    failed = _failures(**shares)
-    doubts = [] if failed else _doubts(**shares)
     # What is said of edges and of equal images is true of the whole where it is of a part.
     said = [reason for part in parts for reason in part["reasons"] if STATED in reason]
     if all(any(SAME_IMAGES in reason for reason in part["reasons"]) for part in parts):
         said.append(SAME_IMAGES)
-    doubts += dict.fromkeys(said)
+    return _judged(Trust("good", (), np.empty(0), **shares), list(dict.fromkeys(said)))
+
+
+def _judged(trust: Trust, said: list[str]) -> Trust:
+    """The same with the verdict and reasons that follow from its numbers, and what else is said."""
+    failed = _failures(trust)
+    doubts = said if failed else [*_unlike(trust), *_unlikely(trust), *said]
     verdict: Verdict = "failed" if failed else "doubtful" if doubts else "good"
-    return Trust(verdict, (*failed, *doubts), np.empty(0), **shares)
+    return replace(trust, verdict=verdict, reasons=(*failed, *doubts))
 
 
-def _failures(agreeing: float, contradicting: float, used: float, **_: float) -> list[str]:
-    if used == 0:
+def _failures(trust: Trust) -> list[str]:
+    if trust.used == 0:
         return ["no part of the image carries data; check the mask and the motion"]
-    if agreeing < max(AGREED[1], contradicting):
+    if trust.agreeing < max(AGREED[1], trust.contradicting):
         return [
-            f"only {agreeing:.0%} of the image match the other one after the motion; check that"
-            " both show the same sample, or state its edges or a background"
+            f"only {trust.agreeing:.0%} of the image match the other one after the motion; check"
+            " that both show the same sample, or state its edges or a background"
         ]
     return []
 
 
-def _doubts(
-    agreeing: float,
-    contradicting: float,
-    part: float,
-    correlation: float,
-    drift: float,
-    folded: float,
-    used: float,
-    empty: float,
-    spread: float,
-    pull: float,
-    flicker: float,
-) -> list[str]:
+def _unlike(trust: Trust) -> list[str]:
+    """What windows of the images say."""
     doubts = []
-    if empty > 1 - AGREED[0]:
+    if trust.empty > 1 - AGREED[0]:
         doubts.append(
-            f"{empty:.0%} of the image show nothing but noise, and the motion is not known there;"
-            " mask them"
+            f"{trust.empty:.0%} of the image show nothing but noise, and the motion is not known"
+            " there; mask them"
         )
-    if used < USED:
-        doubts.append(f"only {used:.0%} of the image carry data; make the mask smaller")
-    if agreeing < AGREED[0]:
+    if trust.used < USED:
+        doubts.append(f"only {trust.used:.0%} of the image carry data; make the mask smaller")
+    if trust.agreeing < AGREED[0]:
         doubts.append(
-            f"only {agreeing:.0%} of the image match after the motion; see the map of trust"
+            f"only {trust.agreeing:.0%} of the image match after the motion; see the map of trust"
         )
-    elif part < PARTLY:
+    elif trust.part < PARTLY:
         doubts.append(
-            f"in a part of the image only {part:.0%} match after the motion; see the map of trust"
+            f"in a part of the image only {trust.part:.0%} match after the motion; see the map of"
+            " trust"
         )
-    if contradicting > CONTRADICTED:
+    if trust.contradicting > CONTRADICTED:
         doubts.append(
-            f"{contradicting:.0%} of the image match better elsewhere; the motion may be too large,"
-            " or what was stated of it wrong"
+            f"{trust.contradicting:.0%} of the image match better elsewhere; the motion may be too"
+            " large, or what was stated of it wrong"
         )
-    if correlation < CORRELATED:
+    if trust.correlation < CORRELATED:
         doubts.append(
-            f"the images correlate by {correlation:.2f} only; average frames, or press in smaller"
-            " steps"
+            f"the images correlate by {trust.correlation:.2f} only; average frames, or press in"
+            " smaller steps"
         )
-    if drift > DRIFTED:
-        doubts.append(f"a part of the image is off by {drift:.1f} px; see the map of trust")
-    if folded > FOLDED:
-        doubts.append(f"the motion folds {folded:.1%} of the image over, which no sample does")
+    if trust.drift > DRIFTED:
+        doubts.append(f"a part of the image is off by {trust.drift:.1f} px; see the map of trust")
+    return doubts
+
+
+def _unlikely(trust: Trust) -> list[str]:
+    """What makes a motion unlikely, though windows agree after it."""
+    doubts = []
+    if trust.folded > FOLDED:
+        doubts.append(
+            f"the motion folds {trust.folded:.1%} of the image over, which no sample does"
+        )
     # A field that follows noise makes windows agree, too.
-    if spread > OPEN:
+    if trust.spread > OPEN:
         doubts.append(
-            f"the images leave the motion open by {spread:.1f} px or so; average frames, press in"
-            " smaller steps, or state edges or a background"
+            f"the images leave the motion open by {trust.spread:.1f} px or so; average frames,"
+            " press in smaller steps, or state edges or a background"
         )
-    if pull > PULLED:
+    if trust.pull > PULLED:
         doubts.append(
-            f"structures of one width have moved {pull:.2f} px farther: the field is too smooth, or"
-            " something stands still and pulls at it (dirt, a mesh, noise that comes back); take"
-            " that off both images, or press in larger steps"
+            f"structures of one width have moved {trust.pull:.2f} px farther: the field is too"
+            " smooth, or something stands still and pulls at it (dirt, a mesh, noise that comes"
+            " back); take that off both images, or press in larger steps"
         )
-    if flicker > FLICKERS:
+    if trust.flicker > FLICKERS:
         doubts.append(
-            f"slices flicker in {flicker:.0%} of the volume and pull at the field, which tiles do"
-            " not mend; give all slices one brightness and contrast, or cut out a region"
+            f"slices flicker in {trust.flicker:.0%} of the volume and pull at the field, which"
+            " tiles do not mend; give all slices one brightness and contrast, or cut out a region"
         )
     return doubts
 
