@@ -12,9 +12,9 @@ import numpy as np
 
 from eofm import io
 from eofm.analysis import findings, page, summary
-from eofm.analysis.analyse import doubted
 from eofm.analysis.findings import SHORT
 from eofm.analysis.sections import Sections, middle
+from eofm.analysis.step import doubted
 from eofm.analysis.strain import strain
 from eofm.analysis.tensors import invariants, labels
 from eofm.analysis.tiles import write_field

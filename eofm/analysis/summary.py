@@ -16,7 +16,7 @@ from eofm.imaging.intensity import looks_linear
 from eofm.settings import Estimation, Measures
 
 if TYPE_CHECKING:
-    from eofm.analysis.analyse import Step
+    from eofm.analysis.step import Step
     from eofm.identification.stiffness import Stiffness
 
 # Share of the images in the estimate, and their correlation, below which the regulariser holds a
