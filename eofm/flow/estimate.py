@@ -227,8 +227,8 @@ def _coarse_to_fine(
             pair, (u, alpha, F, _, factor) = better
     spacing = unit_spacing(known.sides(ndim))
     u = problem.carried(u, shape) / componentwise(spacing, ndim)
-    edges, width = tuple(problem.v_edges), settings.denoising
-    found = Estimate(u, alpha, pair, width, F, level.base, factor, left_out, spacing, edges)
+    width, stated = settings.denoising, level.stated
+    found = Estimate(u, alpha, pair, width, F, level.base, factor, left_out, spacing, stated)
     return Run(found, shading > SHADED, turns)
 
 

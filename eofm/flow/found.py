@@ -1,8 +1,8 @@
 """What an estimate found, and what its images say of it: verdict and error bars."""
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
 
@@ -13,6 +13,7 @@ from eofm.flow.matching import Match
 from eofm.flow.pair import ImagePair
 from eofm.flow.standing import Standing, standing
 from eofm.flow.start import difference
+from eofm.flow.stated import contradictions
 from eofm.flow.trial import reach
 from eofm.flow.trust import Trust, judge
 from eofm.flow.uncertainty import Errors
@@ -52,8 +53,8 @@ class Estimate:
         Frames and labels, alike in both images, which were left out.
     spacing : tuple of float
         Sides of a pixel in the unit of ``functional``, lateral first.
-    edges : tuple of str
-        Those whose motion was stated.
+    stated : mapping of ndarray of bool, shape (ndim, n, ...)
+        For each edge, on the last scale, components and pixels whose motion was stated.
     lines : tuple of int
         Axes of the images along which lines of a detector, or lines that flicker, were taken off:
         0 for rows and 1 for columns of an image, 0 for slices of a volume.
@@ -68,7 +69,7 @@ class Estimate:
     ease: Array | None
     printed: Mask
     spacing: tuple[float, ...]
-    edges: tuple[Edge, ...] = ()
+    stated: Mapping[Edge, Mask] = field(default_factory=dict)
     lines: tuple[int, ...] = ()
 
     @property
@@ -95,8 +96,15 @@ class Estimate:
     @cached_property
     def trust(self) -> Trust:
         """Whether the images, on the last scale, bear the estimate out."""
-        more = (self.edges, self.spread, self.standing.pull)
+        more = (self.contradictions, self.spread, self.standing.pull)
         return judge(*self.carried_back(), *more).on(self.u.shape[1:])
+
+    @property
+    def contradictions(self) -> dict[Edge, float]:
+        """By how much the images contradict the stated motion of edges, px, where they do."""
+        match = self.match.eased(self.ease)
+        v = match.u - self.base
+        return contradictions(match, self.functional, self.base, v, self.stated, self.spread)
 
     @cached_property
     def standing(self) -> Standing:

@@ -12,7 +12,7 @@ the trapezoidal rule in each cell: second order, and every term without derivati
 ``u`` becomes one symmetric 2 x 2 matrix per pixel.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, reduce
 from itertools import combinations_with_replacement
@@ -26,7 +26,7 @@ from numpy.typing import DTypeLike
 
 from eofm.flow.operator import Operator, axis_tables
 from eofm.flow.stencils3 import product
-from eofm.grid import FACES, Array, Edge, Grid, Mask, precision
+from eofm.grid import FACES, Array, Edge, Grid, Mask
 from eofm.imaging.gaussian import gaussians
 
 Roots = list[tuple[sp.csr_array, ...]]
@@ -124,24 +124,24 @@ def speckle_term(grid: Grid, x: Array, u: Array, beta: float | Array, sigma: flo
     return isotropic(g[0], g[1:])
 
 
-def edge_term(grid: Grid, motion: dict[Edge, Array], weight: float) -> Pointwise:
-    """Density of ``weight int |v - g|^2 dS`` over edges or faces, eq. (def_B).
+def hold_edges(terms: Pointwise, grid: Grid, motion: Mapping[Edge, Array], weight: float) -> None:
+    """Add the density of ``weight int |v - g|^2 dS`` over edges or faces, eq. (def_B), in place.
 
     Parameters
     ----------
+    terms : Pointwise
     grid : Grid
-    motion : dict of ndarray, shape (ndim, ...)
-        ``g`` at the pixels of each edge.
+    motion : mapping of ndarray, shape (ndim, ...)
+        ``g`` at the pixels of each edge, NaN where a component is free.
     weight : float
     """
-    dtype = precision(grid.ndim)
-    a, b = np.zeros(grid.shape, dtype), np.zeros((grid.ndim, *grid.shape), dtype)
+    diagonal = [entry for entry, (i, j) in zip(terms.A, pairs(grid.ndim), strict=True) if i == j]
     for edge, g in motion.items():
         face = FACES[edge]
-        depth = grid.weights[face.component][0]
-        a[face.pixels(grid.ndim)] += weight / depth
-        b[:, *face.pixels(grid.ndim)] += weight / depth * g
-    return isotropic(a, b)
+        at, density = face.pixels(grid.ndim), weight / grid.weights[face.component][0]
+        for a, b, component in zip(diagonal, terms.b, g, strict=True):
+            a[at] += density * np.isfinite(component)
+            b[at] += density * np.nan_to_num(component)
 
 
 @dataclass(frozen=True)

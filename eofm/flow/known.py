@@ -33,7 +33,8 @@ class Known:
         The field u_bg of eq. (Ansatz), px; without it u_bg = 0.
     edges : mapping of ndarray, shape (2, n) or (3, n, m)
         Motion ``g`` of the pixels of edges, or of faces of a volume, px, eq. (bdc_Dirichlet);
-        n is the number of pixels, or 1 if that is constant.
+        n is the number of pixels, or 1 if that is constant. It is NaN where it is not known, as
+        is the lateral component of a plate along which the sample slides.
     dead : ndarray of bool, of the images' shape, optional
         Pixels that carry no data, in both images.
     outside : tuple of {"top", "bottom", "left", "right"}
@@ -88,7 +89,10 @@ class Known:
                 known = ", ".join(faces(ndim))
                 what = "a face of volumes" if edge in FACES else "no edge"
                 raise InputError(f"{edge}: is {what}; those of these images are {known}")
-            _numbers(edge, motion, (ndim, *FACES[edge].sides(shape)), (ndim, *[1] * (ndim - 1)))
+            sizes = (ndim, *FACES[edge].sides(shape)), (ndim, *[1] * (ndim - 1))
+            _numbers(edge, np.nan_to_num(motion, nan=0.0, posinf=np.inf, neginf=-np.inf), *sizes)
+            if np.isnan(motion).all():
+                raise InputError(f"{edge}: nothing of its motion is known; leave it out")
 
     def sides(self, ndim: int) -> tuple[float, ...]:
         """Sides of a pixel of an image or a volume, in the unit of ``pixel_size``.

@@ -7,14 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eofm.errors import InputError
-from eofm.flow.functional import Pointwise, Quadratic, edge_term, speckle_term
+from eofm.flow.functional import Pointwise, Quadratic, hold_edges, speckle_term
 from eofm.flow.known import Known
 from eofm.flow.matching import Match
 from eofm.flow.multigrid import multigrid
 from eofm.flow.pair import ImagePair
 from eofm.flow.pyramid import pyramid, solving
 from eofm.flow.roughness import ease
-from eofm.flow.trial import enough, first_alpha, reach
+from eofm.flow.stated import on_edges
+from eofm.flow.trial import REACH, enough, first_alpha, reach
 from eofm.flow.weight import choose_alpha
 from eofm.grid import (
     FACES,
@@ -22,7 +23,6 @@ from eofm.grid import (
     Edge,
     Grid,
     Mask,
-    along_face,
     componentwise,
     faces,
     precision,
@@ -34,6 +34,9 @@ from eofm.settings import Estimation
 # Change of u by the last iteration of a solve whose result stays, px, which leaves a tenth of that;
 # and of solves that are followed by another about their result.
 FINE, ROUGH = 1e-3, 1e-2
+# How much more firmly an edge is held, of which a part alone is known, than images hold the rows
+# beside it: what they say against it moves it by a thousandth of a pixel at most.
+FIRM = 1e3
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,7 @@ class Problem:
         From coarse to fine, in the unit that gives the pixels of the finest the area 1.
     u_bg : ndarray, shape (ndim, ...)
     v_edges : dict of ndarray, shape (ndim, n, ...)
-        ``v`` on the edges of known motion.
+        ``v`` on the edges of known motion, NaN where it is not known.
     x, motion : ndarray, shape (ndim, M)
         Bubbles and their motion less that of the background.
     part : float
@@ -93,7 +96,7 @@ class Problem:
         """
         settings, grid, finest = self.settings, self.grids[number], number == len(self.grids) - 1
         u_bg = base = resize_field(self.u_bg, grid.shape)
-        edges, motion, known = _on_edges(grid, self.v_edges), self.motion, []
+        edges, motion, known = on_edges(grid, self.v_edges), self.motion, []
         if settings.smoothness_of == "update":
             base = self.carried(u, grid.shape)
             v = base - u_bg
@@ -103,15 +106,26 @@ class Problem:
             sigma = settings.sigma * (grid.side if settings.lengths == "scale" else 1.0)
             beta = _weights(grid, self.x, self.v_edges, settings, sigma)
             known.append(speckle_term(grid, self.x, motion, beta, sigma))
-        if settings.edge_weight:
-            known.append(edge_term(grid, edges, settings.edge_weight))
-            edges = {}
         last = number >= len(self.grids) - 2
         decides = settings.alpha is None and last and enough(grid.shape, finest)
-        prescribed, free = _prescribed(grid, edges)
+        weak = bool(settings.edge_weight)
+        held = {e: g for e, g in edges.items() if weak or not np.isfinite(g).all()}
+        prescribed, free = _prescribed(grid, {e: g for e, g in edges.items() if e not in held})
         still = settings.warped_by == "nothing" or (number == 0 and settings.start == "zero")
         return Level(
-            self, pair, u, u_bg, base, prescribed, free, tuple(known), decides, finest, still
+            self,
+            pair,
+            u,
+            u_bg,
+            base,
+            prescribed,
+            free,
+            held,
+            {edge: np.isfinite(g) for edge, g in edges.items()},
+            tuple(known),
+            decides,
+            finest,
+            still,
         )
 
     def carried(self, u: Array, shape: tuple[int, ...]) -> Array:
@@ -145,8 +159,13 @@ class Level:
         A field that is ``v`` on edges where it is prescribed, 0 elsewhere.
     free : ndarray of bool
         The other pixels.
+    held : dict of ndarray, shape (ndim, n, ...)
+        ``v`` on edges that a penalty holds, as the settings ask or because it is known in part
+        alone; NaN where it is not.
+    stated : dict of ndarray of bool, shape (ndim, n, ...)
+        What is known of the motion of edges.
     terms : tuple of Pointwise
-        Speckle term and weak edges.
+        The speckle term.
     decides, finest : bool
         Whether alpha is chosen on it; whether it is the last one.
     still : bool
@@ -162,6 +181,8 @@ class Level:
     base: Array
     prescribed: Array
     free: Mask
+    held: dict[Edge, Array]
+    stated: dict[Edge, Mask]
     terms: tuple[Pointwise, ...]
     decides: bool
     finest: bool
@@ -171,6 +192,10 @@ class Level:
     def functional(self, match: Match, alpha: float, factor: Array | None = None) -> Quadratic:
         """F of ``v`` less what is prescribed; ``factor`` multiplies all terms but R."""
         terms = sum(self.terms, start=match.density(self.base))
+        if self.held:
+            firm = FIRM * REACH * self.pair.grid.side * match.strength
+            weight = self.problem.settings.edge_weight or firm
+            hold_edges(terms, self.pair.grid, self.held, weight)
         terms = terms if factor is None else terms.times(factor)
         F = Quadratic(self.pair.grid, terms, alpha, self.free, self.problem.settings.smoothness)
         return F.shifted(self.prescribed)
@@ -252,16 +277,6 @@ def _prescribed(grid: Grid, edges: dict[Edge, Array]) -> tuple[Array, NDArray[np
         p[:, *pixels] = v
         free[pixels] = False
     return p, free
-
-
-def _on_edges(grid: Grid, edges: dict[Edge, Array]) -> dict[Edge, Array]:
-    """Profiles along edges sampled on a grid, in the order in which they own corners."""
-    sampled = {}
-    for edge, face in faces(grid.ndim).items():
-        if edge in edges:
-            parts = (np.linspace(0, 1, n) for n in face.sides(grid.shape))
-            sampled[edge] = along_face(edges[edge], *parts)
-    return sampled
 
 
 def _weights(

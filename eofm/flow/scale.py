@@ -269,8 +269,7 @@ def solve(scale: Scale, tile: Tile, start: Array, choice: Choice, draws: int, se
     settings = settings.changed(warps=max(1, settings.warps - 1))
     rest = replace(level, problem=replace(level.problem, settings=settings), coarse=u)
     better = rest.improve((choice.alpha,), False)
-    u, edges = better.u, tuple(level.problem.v_edges)
-    samples = level.pair.grid.samples(u)
+    u, samples = better.u, level.pair.grid.samples(better.u)
     found = Estimate(
         samples,
         better.alpha,
@@ -281,10 +280,11 @@ def solve(scale: Scale, tile: Tile, start: Array, choice: Choice, draws: int, se
         better.ease,
         np.zeros(samples.shape[1:], dtype=bool),  # a tile does not see frames
         scale.grid.spacing,
+        level.stated,
     )
     deviation = found.deviation(draws, seed) if draws else None
     I1, warped, used, moved = found.carried_back()
     inner = tile.inner
-    said = (edges, found.spread, found.standing.pull, float(found.flickers))
+    said = (found.contradictions, found.spread, found.standing.pull, float(found.flickers))
     trust = judge(I1[inner], warped[inner], used[inner], moved[:, *inner], *said)
     return Solved(u, trust, deviation)

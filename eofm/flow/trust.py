@@ -5,14 +5,15 @@ match where they are, see :mod:`eofm.flow.windows`.
 """
 
 import math
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from functools import reduce
+from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
 
-from eofm.flow.windows import Windows, correlate, length
+from eofm.flow.windows import correlate
 from eofm.grid import FACES, Array, Edge, Mask
 
 Verdict = Literal["good", "doubtful", "failed"]
@@ -27,13 +28,10 @@ AGREED = 0.75, 0.35
 # structures of one width have moved, px; and the share of the image whose lines flicker.
 CONTRADICTED, PARTLY, CORRELATED, DRIFTED, FOLDED, USED = 0.05, 0.5, 0.7, 0.25, 0.005, 0.1
 OPEN, PULLED, FLICKERS = 0.3, 0.05, 0.25
-# Rows from an edge whose line tells where the images would have it, and how far off it may be, px.
-ROWS, JUMP = (8, 24), 0.5
 # Slices, or rows, whose gradients are taken at once.
 SLAB = 16
 # Differences of images and displacements that are none.
 SAME = 1e-6
-STATED = "the images contradict the motion that was stated; check it"
 SAME_IMAGES = "both images are the same; check that the right files were given"
 TINY = float(np.finfo(np.float32).tiny)
 
@@ -68,6 +66,8 @@ class Trust:
         one width have moved, px.
     flicker : float
         Share of the image whose lines flicker, and were not taken off: of tiles alone.
+    edges : mapping of float
+        By how much the images contradict the stated motion of edges, px, of those that they do.
     """
 
     verdict: Verdict
@@ -84,6 +84,7 @@ class Trust:
     spread: float
     pull: float
     flicker: float
+    edges: Mapping[Edge, float] = field(default_factory=dict)
 
     def on(self, shape: tuple[int, ...]) -> "Trust":
         """Return the same with a map of another size, each pixel taking the nearest value."""
@@ -95,10 +96,11 @@ class Trust:
         )
         return replace(self, map=self.map[np.ix_(*nearest)])
 
-    def summary(self) -> dict[str, float | str | list[str]]:
+    def summary(self) -> dict[str, Any]:
         """Return all but the map, for a file."""
         numbers = {f.name: getattr(self, f.name) for f in fields(self) if f.type is float}
-        return {"verdict": self.verdict, "reasons": list(self.reasons), **numbers}
+        edges = {"edges_off": dict(self.edges)}
+        return {"verdict": self.verdict, "reasons": list(self.reasons), **numbers, **edges}
 
 
 def folds(u: Array) -> float:
@@ -129,7 +131,7 @@ def judge(
     warped: Array,
     used: Mask,
     u: Array,
-    edges: Collection[Edge] = (),
+    edges: Mapping[Edge, float] = MappingProxyType({}),
     spread: float = 0.0,
     pull: float = 0.0,
     flicker: float = 0.0,
@@ -144,8 +146,7 @@ def judge(
         Pixels that carry data: neither dead nor moved out of the image.
     u : ndarray, shape (2, ...) or (3, ...)
         In px.
-    edges : collection of str
-        Those whose motion was stated.
+    edges : mapping of float
     spread, pull, flicker : float
         See :class:`Trust`.
     """
@@ -167,8 +168,9 @@ def judge(
         spread=spread,
         pull=pull,
         flicker=flicker,
+        edges=edges,
     )
-    said = _contradicted(windows, u, edges)
+    said = []
     if np.allclose(I1, warped, atol=SAME) and np.allclose(u, 0, atol=SAME):
         said.append(SAME_IMAGES)
     return _judged(trust, said)
@@ -190,11 +192,15 @@ def pooled(parts: Sequence[Mapping[str, Any]], voxels: Sequence[int]) -> Trust:
     shares |= {key: mean(key, voxels) for key in ("folded", "used")}
     shares["part"] = min((p["agreeing"] for p in parts if p["used"] > USED), default=1.0)
     shares["drift"] = max(part["drift"] for part in parts)
-    # What is said of edges and of equal images is true of the whole where it is of a part.
-    said = [reason for part in parts for reason in part["reasons"] if STATED in reason]
-    if all(any(SAME_IMAGES in reason for reason in part["reasons"]) for part in parts):
-        said.append(SAME_IMAGES)
-    return _judged(Trust("good", (), np.empty(0), **shares), list(dict.fromkeys(said)))
+    # What is said of an edge is true of the whole where it is of a part.
+    edges = {
+        edge: max(part["edges_off"].get(edge, 0.0) for part in parts)
+        for edge in FACES
+        if any(edge in part["edges_off"] for part in parts)
+    }
+    same = all(any(SAME_IMAGES in reason for reason in part["reasons"]) for part in parts)
+    trust = Trust("good", (), np.empty(0), **shares, edges=edges)
+    return _judged(trust, [SAME_IMAGES] if same else [])
 
 
 def _judged(trust: Trust, said: list[str]) -> Trust:
@@ -274,33 +280,9 @@ def _unlikely(trust: Trust) -> list[str]:
             f"slices flicker in {trust.flicker:.0%} of the volume and pull at the field, which"
             " tiles do not mend; give all slices one brightness and contrast, or cut out a region"
         )
+    doubts += [
+        f"{edge}: the images contradict the motion that was stated by {off:.2g} px; check it, and"
+        " say 'free' of what is not known, as along a plate that slides"
+        for edge, off in trust.edges.items()
+    ]
     return doubts
-
-
-def _contradicted(windows: Windows, u: Array, edges: Collection[Edge]) -> list[str]:
-    """Edges whose stated motion the windows beside them contradict, or the field leaves at once."""
-    doubts = []
-    for edge in edges:
-        beside = FACES[edge].pixels(windows.here.ndim)
-        told = np.isfinite(windows.here[beside])
-        off = ~windows.agrees[beside] | (length(windows.offset[:, *beside]) > 2 * DRIFTED)
-        if (told.any() and off[told].mean() > 0.5) or _jumps(u, edge):
-            doubts.append(f"{edge}: {STATED}")
-    return doubts
-
-
-def _jumps(u: Array, edge: Edge) -> bool:
-    """Whether the field of an edge is far off the line through the rows inside of it.
-
-    Where images contradict an edge, the field obeys it and goes over to theirs within some pixels,
-    fewer than windows see.
-    """
-    face, (near, far) = FACES[edge], ROWS
-    rows = np.moveaxis(u, 1 + face.axis(u.ndim - 1), 1)
-    rows = rows[:, ::-1] if face.last else rows
-    if rows.shape[1] <= far:
-        return False
-    change = rows[:, near] - rows[:, far]
-    jump = rows[:, 0] - rows[:, near] - change * near / (far - near)
-    change, jump = (np.median(f.reshape(len(u), -1), axis=1) for f in (change, jump))
-    return bool(length(jump) > np.maximum(JUMP, length(change)))

@@ -86,26 +86,6 @@ def test_identical_images_and_folds_and_masks_are_told(moved):
     assert "folds" in "".join(judge(I1, I1, used, turned).reasons)
 
 
-def test_an_edge_whose_motion_the_images_contradict_is_named(moved):
-    I1, I2, u = moved
-    x2 = np.mgrid[: SHAPE[0], : SHAPE[1]][0]
-    wrong = u + 4 * np.exp(-(((x2 - SHAPE[0]) / 12.0) ** 2))
-    told = verdict(I1, I2, wrong, edges=("top", "bottom")).reasons
-    assert [reason for reason in told if reason.startswith("bottom: ")]
-    assert not [reason for reason in told if reason.startswith("top: ")]
-
-
-def test_an_edge_that_the_field_leaves_at_once_is_named(moved):
-    I1, I2, u = moved
-    bottom = u[:, -1] + np.array([[0.0], [2.5]])
-    edges = {"top": u[:, 0], "bottom": bottom}
-    told = eofm.estimate_displacement(I1, I2, known=eofm.Known(edges=edges)).trust
-    assert told.verdict == "doubtful"
-    assert [reason.partition(":")[0] for reason in told.reasons] == ["bottom"]
-    edges["bottom"] = u[:, -1]
-    assert eofm.estimate_displacement(I1, I2, known=eofm.Known(edges=edges)).trust.reasons == ()
-
-
 def test_the_peaks_stand_at_the_true_offset(moved):
     _, I2, _ = moved
     shift = np.stack([np.full(SHAPE, 0.4), np.full(SHAPE, -0.7)])
