@@ -181,7 +181,8 @@ def analyse(
         total = total + warp_field(step.estimate.u, total)
         for edge in known.edges if estimation.edge_weight is None else ():
             on = FACES[edge].pixels(len(shape))
-            total[:, *on] = sum(s.estimate.u[:, *on] for s in steps)
+            there, stated = sum(s.estimate.u[:, *on] for s in steps), np.isfinite(known.edges[edge])
+            total[:, *on] = np.where(stated, there, total[:, *on])
     first, last = frames[0], frames[-1]
     window = measures.strain_window or 3 * geometric_mean(pixel_size)
     e = strain(total, pixel_size, window, measures.strain_measure)

@@ -20,7 +20,8 @@ class EdgeState:
     outside : bool
         The sample goes on beyond the image: no condition on the estimate.
     motion : ndarray, shape (2, n) or (3, 1, 1), or None
-        Displacement along the edge, px; n = 1 where it is constant, None where it is free.
+        Displacement along the edge, px; n = 1 where it is constant. A component is NaN, or all is
+        None, where it is free.
     """
 
     outside: bool
@@ -109,13 +110,16 @@ def _motion(
     if len(words) == 1:
         return _profile(edge, words[0], sides)
     unit = words.pop() if len(words) == n + 1 else "px"
+    free = [word == "free" for word in words]
     try:
-        motion = np.array([float(word) for word in words])
+        told = [float(word) for word in words if word != "free"]
     except ValueError:
-        motion = np.full(n, np.nan)
-    if len(motion) != n or unit not in ("px", "um") or not np.isfinite(motion).all():
+        told = []
+    readable = len(words) == n and unit in ("px", "um") and len(told) == n - sum(free)
+    if not readable or not told or not np.isfinite(told).all():
         raise InputError(f"{edge}: cannot read 'moved {' '.join(words)}'; use {EDGE_WORDS}")
-    motion = motion.reshape(n, *[1] * (n - 1))
+    motion = np.full((n, *[1] * (n - 1)), np.nan)
+    motion[~np.array(free)] = np.reshape(told, (-1, *motion.shape[1:]))
     if unit == "px":
         return motion
     if pixel_size is None:

@@ -56,7 +56,7 @@ class Plan:
     first: tuple[int, ...]
     shape: tuple[int, ...]
     least: float | None
-    edges: dict[Edge, list[float]]
+    edges: dict[Edge, list[float | None]]
     sides: tuple[float, ...] | None
     source: str | None
     greys: Greys
@@ -97,7 +97,8 @@ class Plan:
     def problem(self) -> Problem:
         """That of the whole volume."""
         n = len(self.shape)
-        edges = {e: np.reshape(u, (n, *[1] * (n - 1))) for e, u in self.edges.items()}
+        stated = {e: np.array(u, dtype=float) for e, u in self.edges.items()}
+        edges = {e: u.reshape(n, *[1] * (n - 1)) for e, u in stated.items()}
         known = Known(edges=edges, pixel_size=self.sides or (1.0,) * n)
         return Problem.of(self.shape, self.estimation, known)
 
@@ -188,11 +189,11 @@ def _region(pair: Pair, whole: tuple[int, ...]) -> tuple[tuple[int, ...], tuple[
 
 def _edges(
     pair: Pair, shape: tuple[int, ...], sides: tuple[float, ...] | None
-) -> dict[Edge, list[float]]:
-    """Motion of the faces that is stated."""
+) -> dict[Edge, list[float | None]]:
+    """Motion of the faces that is stated; None where a component is free."""
     states = {e: parse_edge(e, getattr(pair, e), shape, sides) for e in faces(len(shape))}
     return {
-        edge: [float(v) for v in state.motion.ravel()]
+        edge: [float(v) if np.isfinite(v) else None for v in state.motion.ravel()]
         for edge, state in states.items()
         if state.motion is not None and not state.outside
     }

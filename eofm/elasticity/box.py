@@ -49,7 +49,6 @@ def deform_box(
     motion: Motion,
     error: float,
     spacing: Sequence[float] = (1.0, 1.0, 1.0),
-    slip: bool = False,
 ) -> Array:
     """Displacement of a homogeneous box some of whose faces move in a known way.
 
@@ -64,8 +63,6 @@ def deform_box(
         Largest error wanted, px.
     spacing : (h1, h2, h3)
         Sides of a voxel in any unit.
-    slip : bool
-        The faces named are held along their normals alone.
 
     Returns
     -------
@@ -83,20 +80,20 @@ def deform_box(
         sides = tuple(h * np.diff(graded(n)) for h, n in zip(lengths, numbers, strict=True))
         bricks = Bricks(sides, _lame(sample), np.ones([len(h) for h in sides[::-1]]))
         start = None if coarse is None else coarse.at(bricks.nodes)
-        found = _solve(bricks, motion, spacing, slip, start)
+        found = _solve(bricks, motion, spacing, start)
         u = found.at(some) / componentwise(spacing, 3)
         change = np.inf
         if coarse is not None:
             before = coarse.at(some) / componentwise(spacing, 3)
             change = np.abs(u - before).max() / (RATIO**2 - 1)
-        if max(change, _missed(u, probes, motion, slip, sample.shape)) <= error:
+        if max(change, _missed(u, probes, motion, sample.shape)) <= error:
             break
         coarse = found
     return found.on_voxels(sample.shape, spacing)
 
 
 @serial
-def press_box(sample: Sample, motion: Motion, cell: float, slip: bool = False) -> Array:
+def press_box(sample: Sample, motion: Motion, cell: float) -> Array:
     """Displacement of a box with inclusions, on bricks with sides of about ``cell`` px.
 
     Returns
@@ -109,7 +106,7 @@ def press_box(sample: Sample, motion: Motion, cell: float, slip: bool = False) -
     check_cells(numbers, BRICK)
     sides = tuple(np.full(n, length / n) for length, n in zip(lengths, numbers, strict=True))
     bricks = Bricks(sides, _lame(sample), np.stack(list(_moduli(sample, sides))))
-    return _solve(bricks, motion, (1.0, 1.0, 1.0), slip).on_voxels(sample.shape)
+    return _solve(bricks, motion, (1.0, 1.0, 1.0)).on_voxels(sample.shape)
 
 
 def check_cells(numbers: Sequence[int], each: int) -> None:
@@ -162,10 +159,8 @@ def _solve(
     bricks: Bricks,
     motion: Motion,
     spacing: Sequence[float],
-    slip: bool,
     start: Array | None = None,
 ) -> Solved:
-    motion = {edge: _held(edge, g, slip) for edge, g in motion.items()}
     u, held = np.zeros((3, *bricks.shape)), np.zeros((3, *bricks.shape), dtype=bool)
     parts = [x / x[-1] for x in bricks.nodes]
     for edge, g in motion.items():
@@ -177,12 +172,6 @@ def _solve(
     u = bricks.solve(u, held, start)
     _settle(u, bricks.nodes, held)
     return Solved(bricks.nodes, u)
-
-
-def _held(edge: Edge, g: Array, slip: bool) -> Array:
-    """Motion of a face, NaN where it is free to slide."""
-    normal = np.reshape(np.arange(3) == FACES[edge].component, (3, 1, 1))
-    return np.where(normal, g, np.nan) if slip else g
 
 
 def _settle(u: Array, nodes: list[Array], held: Mask) -> None:
@@ -219,7 +208,6 @@ def _missed(
     u: Array,
     probes: list[np.ndarray],
     motion: Motion,
-    slip: bool,
     shape: tuple[int, ...],
 ) -> float:
     """Largest difference from the motion prescribed inside of faces, px."""
@@ -228,6 +216,6 @@ def _missed(
     for edge, g in motion.items():
         face = FACES[edge]
         sides = [parts[i] for i in (2, 1, 0) if i != face.component]
-        there = u[:, *face.pixels(3)] - along_face(_held(edge, g, slip), *sides)
+        there = u[:, *face.pixels(3)] - along_face(g, *sides)
         missed.append(np.nanmax(np.abs(there[:, 1:-1, 1:-1]), initial=0.0))
     return max(missed)

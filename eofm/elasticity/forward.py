@@ -27,7 +27,8 @@ from skfem.helpers import ddot, div, sym_grad
 
 from eofm.elasticity.box import check_cells, deform_box, press_box
 from eofm.elasticity.material import lame
-from eofm.grid import FACES, Array, Edge, Grid, along_face, componentwise, unit_spacing
+from eofm.errors import InputError
+from eofm.grid import FACES, Array, Edge, Grid, Mask, along_face, componentwise, unit_spacing
 from eofm.io.limits import check_size
 from eofm.settings import Forward, Sample
 
@@ -96,9 +97,7 @@ def background_field(sample: Sample, forward: Forward = Forward()) -> Array:
     >>> u.shape
     (2, 30, 40)
     """
-    return deform(
-        sample, press(sample), error=forward.background_error, slip=sample.contact == "slip"
-    )
+    return deform(sample, press(sample), error=forward.background_error)
 
 
 def displacement(sample: Sample, cell: float) -> Array:
@@ -107,9 +106,8 @@ def displacement(sample: Sample, cell: float) -> Array:
     Parameters
     ----------
     sample : Sample
-        Size, materials and motion of the bottom. Where its contact slips, top and
-        bottom prescribe u2 alone and the middle of the top stays where it is, or a volume
-        as a whole neither moves sideways nor turns.
+        Size, materials and motion of the bottom. Where its contact slips, the middle of the top
+        stays where it is, or a volume as a whole neither moves sideways nor turns.
     cell : float
         Side of the biquadratic or triquadratic elements, px.
 
@@ -119,10 +117,9 @@ def displacement(sample: Sample, cell: float) -> Array:
         ``u`` with ``-div sigma(u) = 0`` at the pixel centres, px.
     """
     check_size("the sample", (2, *sample.shape))
-    slip = sample.contact == "slip"
     if sample.depth is not None:
-        return press_box(sample, press(sample), cell, slip)
-    return _solve(sample, press(sample), make_basis(sample, cell), slip)
+        return press_box(sample, press(sample), cell)
+    return _solve(sample, press(sample), make_basis(sample, cell))
 
 
 def deform(
@@ -131,7 +128,6 @@ def deform(
     *,
     error: float = 1e-3,
     pixel_size: Sequence[float] = (1.0, 1.0, 1.0),
-    slip: bool = False,
 ) -> Array:
     """Displacement of a homogeneous sample some of whose edges move in a known way.
 
@@ -144,40 +140,48 @@ def deform(
         Size and material, without inclusions; how it is pressed is stated by ``motion``.
     motion : dict of ndarray, shape (2, n) or (3, n, m)
         Displacement at points that divide an edge, or a face of a volume, evenly (n = 1:
-        constant), px. The others are free.
+        constant), px, NaN where it is free, as are the other edges. In a direction in which no
+        edge is held, the middle of the first stays where it is, or a volume as a whole.
     error : float
         Largest error wanted, px, estimated for elements that converge with rate two at
         least. A motion that is rough from pixel to pixel is followed less closely, as far as
         the finest mesh goes.
     pixel_size : (lateral, axial, elevational)
         Sides of a pixel in any unit; of an image two count.
-    slip : bool
-        The edges named are held in u2 alone, and the middle of the first in u1; the faces of
-        a volume along their normals alone.
 
     Returns
     -------
     ndarray, shape (2, height, width) or (3, depth, height, width)
         At the pixel centres, px.
+
+    Raises
+    ------
+    InputError
+        If the edges of an image leave the sample free to turn.
     """
     check_size("the sample", (2, *sample.shape))
     sample = sample.changed(inclusions=())
     spacing = unit_spacing(pixel_size[: len(sample.shape)])
     if sample.depth is not None:
-        return deform_box(sample, motion, error, spacing, slip)
+        return deform_box(sample, motion, error, spacing)
     coarse = np.full((2, *sample.shape), np.inf)
     for cells in MESHES:
-        u = _solve(sample, motion, graded_basis(sample, cells, spacing), slip, spacing)
+        u = _solve(sample, motion, graded_basis(sample, cells, spacing), spacing)
         change = np.abs(u - coarse).max() / (RATIO**2 - 1)
-        if max(change, _missed(u, motion, slip)) <= error:
+        if max(change, _missed(u, motion)) <= error:
             break
         coarse = u
     return u
 
 
 def press(sample: Sample) -> dict[Edge, Array]:
-    """Motion of the edges of the experiment, px: top fixed, bottom moved up."""
+    """Motion of the edges of the experiment, px: top fixed, bottom moved up.
+
+    Where the contact slips, it is known along their normals alone.
+    """
     top = np.zeros((ndim := len(sample.shape), *[1] * (ndim - 1)))
+    if sample.contact == "slip":
+        top[[c for c in range(ndim) if c != FACES["top"].component]] = np.nan
     bottom = top.copy()
     bottom[1] = -sample.compression
     return {"top": top, "bottom": bottom}
@@ -264,7 +268,6 @@ def _solve(
     sample: Sample,
     motion: dict[Edge, Array],
     basis: Basis,
-    slip: bool,
     spacing: Spacing = (1.0, 1.0),
 ) -> Array:
     """What `deform` returns, for elements on any mesh and any materials."""
@@ -272,27 +275,39 @@ def _solve(
     pixels, nodes = Grid(sample.shape), _components(basis)
     # The smallest cells are larger than 1e-6 px.
     x = (basis.doflocs[:, nodes[0]] / sides).round(9)
-    prescribed = basis.zeros()
-    dofs: list[NDArray[np.int64]] = []
+    prescribed, held = basis.zeros(), np.zeros(x.shape, dtype=bool)
     for edge, g in motion.items():
         on = np.flatnonzero(FACES[edge].distance(x, pixels) == 0)
         other = 1 - FACES[edge].component
-        along = x[other, on] / pixels.lengths[other]
-        prescribed[nodes[:, on]] = sides * along_face(g, along)
-        if slip:
-            middle = on[[np.abs(along - 0.5).argmin()]]
-            dofs += [nodes[1, on], *([nodes[0, middle]] if not dofs else [])]
-        else:
-            dofs += [nodes[0, on], nodes[1, on]]
+        there = along_face(g, x[other, on] / pixels.lengths[other])
+        told = np.isfinite(there)
+        for c in (0, 1):
+            prescribed[nodes[c, on[told[c]]]] = sides[c] * there[c, told[c]]
+            held[c, on] |= told[c]
+    first = FACES[next(iter(motion))]
+    along = x[1 - first.component] / pixels.lengths[1 - first.component]
+    off = np.where(first.distance(x, pixels) == 0, np.abs(along - 0.5), np.inf)
+    held[~held.any(1), off.argmin()] = True
+    _check_held(x, held)
     K = stiffness_matrix(basis, sample, spacing)
-    A, b, u, free = condense(K, x=prescribed, D=np.unique(np.concatenate(dofs)))
+    A, b, u, free = condense(K, x=prescribed, D=nodes[held])
     lines = np.stack([np.unique(c.round(9), return_inverse=True)[1] for c in basis.doflocs])
     order = np.concatenate(_dissect(lines[:, free], np.arange(len(free))))
     u[free[order]] = solve_positive(A[order][:, order], b[order], ordering="NATURAL")
     return _on_pixels(sample.shape, x, u[nodes] / sides)
 
 
-def _missed(u: Array, motion: dict[Edge, Array], slip: bool) -> float:
+def _check_held(x: Array, held: Mask) -> None:
+    """Refuse what is held in so few directions that it may turn."""
+    turn = np.stack([-x[1], x[0]])
+    shifts = [np.broadcast_to(np.reshape(e, (2, 1)), x.shape) for e in np.eye(2)]
+    if np.linalg.matrix_rank(np.stack([f[held] for f in (*shifts, turn)])) < 3:
+        raise InputError(
+            "the edges that are known leave the sample free to turn; say how another one moves"
+        )
+
+
+def _missed(u: Array, motion: dict[Edge, Array]) -> float:
     """Largest difference from the motion prescribed at the pixels of edges, px.
 
     Corners are left out: two edges may tear them apart.
@@ -302,7 +317,8 @@ def _missed(u: Array, motion: dict[Edge, Array], slip: bool) -> float:
         there = u[:, *FACES[edge].pixels()]
         return there - along_face(g, np.linspace(0, 1, there.shape[1]))
 
-    return max(np.abs(difference(edge, g)[int(slip) :, 1:-1]).max() for edge, g in motion.items())
+    inner = (np.abs(difference(edge, g)[:, 1:-1]) for edge, g in motion.items())
+    return max(float(np.nanmax(d, initial=0.0)) for d in inner)
 
 
 def _basis(sides: Iterable[Array]) -> Basis:

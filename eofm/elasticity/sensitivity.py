@@ -36,11 +36,11 @@ class Elastic:
     Attributes
     ----------
     sample : Sample
-        Size, Poisson ratio and contact; its inclusions and compression are not used.
+        Size and Poisson ratio; the rest is not used.
     motion : dict of ndarray, shape (2, n)
         Displacement at n points that divide an edge evenly (n = 1: constant), in the unit
-        of the spacing. Where the contact slips, edges are held in u2 alone, and the middle
-        of the first in u1.
+        of the spacing, NaN where it is free. In a direction in which no edge is held, the middle
+        of the first stays where it is.
     cell : float
         Side of the elements.
     spacing : (h1, h2)
@@ -120,16 +120,19 @@ class Elastic:
     @cached_property
     def prescribed(self) -> tuple[NDArray[np.bool_], Array]:
         """Which degrees of freedom are prescribed, and the values there (zero elsewhere)."""
-        node, slip = self._node_order, self.sample.contact == "slip"
+        node = self._node_order
         fixed, values = np.zeros(2 * node.size, dtype=bool), np.zeros(2 * node.size)
-        for number, (edge, g) in enumerate(self.motion.items()):
+        for edge, g in self.motion.items():
             on = node[FACES[edge].pixels()]
             along = along_face(g, np.linspace(0, 1, len(on)))
-            middle = slice(len(on) // 2, len(on) // 2 + (number == 0))
             for i in (0, 1):
-                part = middle if slip and i == 0 else slice(None)
-                fixed[2 * on[part] + i] = True
-                values[2 * on[part] + i] = along[i, part]
+                told = np.isfinite(along[i])
+                fixed[2 * on[told] + i] = True
+                values[2 * on[told] + i] = along[i, told]
+        first = node[FACES[next(iter(self.motion))].pixels()]
+        for i in (0, 1):
+            if not fixed[i::2].any():
+                fixed[2 * first[len(first) // 2] + i] = True
         return fixed, values
 
     def hats(self, distance: float) -> tuple[sp.csc_array, NDArray[np.int64]]:

@@ -76,7 +76,7 @@ def moved(
     motion: dict[Edge, Array],
 ) -> tuple[float, dict[Edge, Array], Array]:
     """Factor of the edges' motion, that motion, and the homogeneous background."""
-    u_bg = deform(sample, motion, pixel_size=known.sides(2), slip=sample.contact == "slip")
+    u_bg = deform(sample, motion, pixel_size=known.sides(2))
     blind = estimation.changed(zero_edges=())
     free = estimate_displacement(I1, I2, blind, replace(known, background=u_bg, edges={}))
     scale = factor_of_motion(free, u_bg, motion, settings)
@@ -126,5 +126,5 @@ def factor_of_motion(
 
 def move_differently(motion: Mapping[Edge, Array]) -> bool:
     """Whether two edges at least are known to move, and not alike."""
-    means = np.array([g.mean(1) for g in motion.values()])
+    means = np.array([np.nan_to_num(g.mean(1)) for g in motion.values()])
     return len(means) >= 2 and bool(np.ptp(means, axis=0).any())

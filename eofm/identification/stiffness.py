@@ -146,9 +146,9 @@ def identify_stiffness(
     known : Known
         Bubbles, dead zones, size of the pixels, and the motion of edges; without any, and
         nothing outside, the top is fixed and the bottom moves up by the sample's compression.
-        The motion of edges outside is sought as well, and so is that of all edges of which
-        nothing is known unless two of them are known to move differently; only then its
-        background is used. Other edges are free.
+        The motion of edges outside, or known in part alone, is sought as well, and so is that of
+        all edges of which nothing is known unless two of them are known to move differently; only
+        then its background is used. Other edges are free.
     progress : bool
         Show a progress bar, if standard error is a terminal.
 
@@ -177,14 +177,15 @@ def identify_stiffness(
         bar.set_postfix_str(f"gamma {gamma:.2g}, step {step}, gain {gain:.3g}")
 
     stated = dict(known.edges) or (press(sample) if not known.outside else {})
-    if known.outside or not move_differently(stated):
-        loose: tuple[Edge, ...] = known.outside or tuple(faces(2))
-        loose = tuple(edge for edge in loose if edge not in known.edges)
+    partly = tuple(edge for edge, g in known.edges.items() if np.isnan(g).any())
+    if known.outside or partly or not move_differently(stated):
+        loose: tuple[Edge, ...] = (*known.outside, *partly) or tuple(faces(2))
+        loose = tuple(e for e in loose if e in partly or e not in known.edges)
         scale, u_bg = 1.0, known.background
         u_bg = np.zeros((2, *I1.shape)) if u_bg is None else u_bg
         estimate = estimate_displacement(I1, I2, estimation, known)
         rim = {edge: estimate.u[:, *FACES[edge].pixels()] for edge in loose}
-        motion = rim | dict(known.edges)
+        motion = dict(known.edges) | rim
     else:
         loose = ()
         scale, motion, u_bg = moved(I1, I2, sample, settings, estimation, known, stated)

@@ -10,7 +10,7 @@ from eofm.settings.section import MOST, FileName, Positive, Section
 Region = tuple[int, int, int, int] | tuple[int, int, int, int, int, int]
 
 # How the motion of an edge is said.
-EDGE_WORDS = "free, fixed, moved U1 U2 [U3] [um], moved FILE, or outside"
+EDGE_WORDS = "free, fixed, moved U1 U2 [U3] [um] (one may be free), moved FILE, or outside"
 
 
 class Measures(Section):
@@ -78,9 +78,9 @@ class Pair(Measures, Scale):
     )
     top: str = Field(
         "free",
-        description=f"{EDGE_WORDS}: px unless the word um follows; FILE is a table of u1, u2 in px,"
-        " a row per pixel; outside (of the image, no condition) may be followed by what holds there"
-        " for the elastic background",
+        description=f"{EDGE_WORDS}: px unless the word um follows; 'moved free -3' is a plate along"
+        " which the sample slides; FILE is a table of u1, u2 in px, a row per pixel; outside (of"
+        " the image, no condition) may be followed by what holds there for the elastic background",
     )
     bottom: str = Field("free", description="the same")
     left: str = Field("free", description="the same")

@@ -16,6 +16,7 @@ from eofm.elasticity.forward import (
     stiffness_matrix,
 )
 from eofm.elasticity.material import lame
+from eofm.errors import InputError
 from eofm.grid import unit_spacing
 from eofm.settings import Forward, Inclusion, Sample
 
@@ -135,7 +136,7 @@ def on_fine_mesh(sample, pixel_size):
     """A homogeneous field on several times the cells of the meshes that are accepted."""
     spacing = unit_spacing(pixel_size)
     motion, basis = pressed(0.033 * sample.height), graded_basis(sample, 100, spacing)
-    return forward._solve(sample, motion, basis, False, spacing)
+    return forward._solve(sample, motion, basis, spacing)
 
 
 @pytest.mark.parametrize(
@@ -194,3 +195,23 @@ def test_edges_move_as_prescribed():
     sideways = deform(sample, {"left": np.array([[0.5], [0.0]]), "right": np.zeros((2, 1))})
     np.testing.assert_allclose(sideways[0, :, 0], 0.5, atol=1e-9)
     np.testing.assert_allclose(sideways[:, :, -1], 0, atol=1e-9)
+
+
+def test_an_edge_may_slide_sideways_or_be_held_along_alone():
+    """Pure compression between plates of which one sticks in the lateral direction at a point."""
+    sample = Sample(height=41, width=61, poisson_ratio=0.3)
+    x2, x1 = np.mgrid[:41, :61]
+    slides = {"top": np.array([[np.nan], [0.0]]), "bottom": np.array([[np.nan], [-1.0]])}
+    stretch = 0.3 / 0.7 / 40
+    exact = np.stack([stretch * (x1 - 30), -x2 / 40])
+    np.testing.assert_allclose(deform(sample, slides), exact, atol=1e-6)
+    # Held at the left side along its normal, it is that side that stays where it is.
+    held = slides | {"left": np.array([[0.25], [np.nan]])}
+    moved = exact + np.reshape([0.25 + 30 * stretch, 0], (2, 1, 1))
+    np.testing.assert_allclose(deform(sample, held), moved, atol=1e-6)
+
+
+def test_what_may_turn_is_refused():
+    sample = Sample(height=20, width=30)
+    with pytest.raises(InputError, match="free to turn"):
+        deform(sample, {"left": np.array([[np.nan], [0.0]])})
