@@ -206,7 +206,13 @@ def _bubbles(summary: dict[str, Any]) -> Iterator[Finding]:
     followed, there = sum(summary["bubbles"]), sum(summary["bubbles_found"])
     lost = 1 - followed / max(there, 1)
     text = f"{followed} of {there} bubbles were followed."
-    if lost > LOST:
+    if not followed:
+        yield Finding(
+            "note",
+            f"None of {there} bubbles was followed; the field rests on the images alone.",
+            "A lower quality or a larger gate keeps more, and so do averages of frames.",
+        )
+    elif lost > LOST:
         yield Finding(
             "note",
             text,

@@ -127,9 +127,9 @@ def arrows(axis: Axes, bubbles: pd.DataFrame, shape: tuple[int, ...], settings: 
     More than ``ARROWS`` would hide the image, so some are left out then.
     """
     p, width = np.array(scale(settings, 2) * 2), shape[-1] * scale(settings, 2)[0]
-    shown = bubbles.iloc[:: -(-len(bubbles) // ARROWS)]
+    shown = bubbles.iloc[:: max(1, -(-len(bubbles) // ARROWS))]
     x1, x2, u1, u2 = p[:, None] * shown[["x1", "x2", "u1", "u2"]].to_numpy(float).T
-    longest = max(float(np.hypot(u1, u2).max()), 1e-9)
+    longest = float(np.hypot(u1, u2).max(initial=1e-9))
     factor = max((f for f in (1, 2, 5, 10, 20, 50) if f * longest <= 0.12 * width), default=1)
     style: Any = {"color": "#ff4d2e", "angles": "xy", "scale_units": "xy", "scale": 1 / factor}
     axis.quiver(

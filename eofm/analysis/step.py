@@ -7,7 +7,6 @@ import pandas as pd
 
 from eofm.analysis.quality import inconsistency
 from eofm.analysis.summary import length
-from eofm.errors import InputError
 from eofm.flow.estimate import estimate_displacement
 from eofm.flow.found import Estimate
 from eofm.flow.known import Known
@@ -15,7 +14,7 @@ from eofm.flow.trust import Trust, Verdict
 from eofm.grid import Array, Mask
 from eofm.identification.stiffness import Stiffness, identify_stiffness
 from eofm.identification.uncertainty import deviations
-from eofm.imaging.bubbles import track
+from eofm.imaging.bubbles import followed
 from eofm.settings import WARPING, Estimation, Identification, Sample, Tracking
 
 # Correlation of the images above which bubbles that move otherwise by so many px are left out.
@@ -116,29 +115,16 @@ def _tracked(
 ) -> tuple[pd.DataFrame, int]:
     """Bubbles outside of dead zones that do not contradict what the images say where they agree.
 
-    And how many there are in the first image.
-
-    Raises
-    ------
-    InputError
-        If none is found, or none is left.
+    And how many there are in the first image. None may be left, as of images with much noise: the
+    field then rests on the images alone.
     """
-    try:
-        bubbles = track(I1, I2, tracking, prediction=images.u)
-    except InputError as error:
-        if images.trust.verdict != "failed":
-            raise
-        # No setting of the tracker makes two samples one.
-        said, _, _ = str(error).partition(";")
-        raise InputError(f"{said}; {images.trust.reasons[0]}") from None
+    bubbles = followed(I1, I2, tracking, images.u)
     found = int(bubbles.attrs["found"])
     x, motion = (
         bubbles[[f"{name}{i + 1}" for i in range(I1.ndim)]].to_numpy().T for name in ("x", "u")
     )
     at = tuple(x[::-1].round().astype(np.intp))
     live = np.ones(len(bubbles), dtype=bool) if dead is None else ~dead[at]
-    if not live.any():
-        raise InputError("mask: leaves no bubble; make it smaller, or lower the threshold")
     off = length(motion - images.u[:, *at])
     sure = np.nan_to_num(images.trust.map)[at] > SURE
     kept = live & (~sure | (off <= CONTRADICTING))

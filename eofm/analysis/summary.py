@@ -50,7 +50,7 @@ def of_motion(
         "steps": len(steps),
         "bubbles": [len(step.bubbles) for step in steps],
         "bubbles_found": [step.found for step in steps],
-        "bubble_quality_median": float(np.median(quality)),
+        "bubble_quality_median": float(np.median(quality)) if quality.size else None,
         "alpha": [step.estimate.alpha for step in steps],
         **ranges,
         "largest_motion_px": [float(np.abs(c).max()) for c in u],

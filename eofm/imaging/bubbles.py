@@ -82,6 +82,20 @@ def track(
     >>> bool(abs(bubbles.u1.median() - 0.5) < 0.02)
     True
     """
+    table = followed(I1, I2, settings, prediction)
+    if table.empty:
+        raise InputError(
+            f"none of {table.attrs['found']} bubbles could be followed; raise the gate"
+            f" ({settings.gate:g} px), lower the quality ({settings.quality:g}), or give a"
+            " field that predicts the motion"
+        )
+    return table
+
+
+def followed(
+    I1: Array, I2: Array, settings: Tracking, prediction: Array | None = None
+) -> pd.DataFrame:
+    """What `track` returns, of which no bubble may be left."""
     I1, I2 = normalise(I1, I2)
     settings.check_widths(I1.shape)
     kind = "image" if I1.ndim == 2 else "volume"
@@ -101,12 +115,6 @@ def track(
         reduce(np.hypot, motion - expected) <= settings.gate + settings.window
     )
     good[good] = agree(x[:, good], (motion - expected)[:, good], settings)
-    if not good.any():
-        raise InputError(
-            f"none of {len(before)} bubbles could be followed; raise the gate"
-            f" ({settings.gate:g} px), lower the quality ({settings.quality:g}), or give a"
-            " field that predicts the motion"
-        )
     moved = {f"u{k}": c for k, c in enumerate(motion, 1)}
     table = before.iloc[i].assign(**moved, quality=quality)[good]
     names = [f"x{k}" for k in range(1, I1.ndim + 1)] + [*moved]

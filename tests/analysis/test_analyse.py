@@ -185,15 +185,30 @@ def test_the_step_of_a_sequence_that_fails_is_named(truth):
     assert reason.startswith("step 3 of 3 (frames 3 and 4): only ")
 
 
-def test_what_shows_something_else_is_named_where_no_bubble_can_be_followed(pair, rng):
+def test_what_shows_something_else_has_failed_though_no_bubble_can_be_followed(pair, rng):
     I1, I2, _ = pair
     other = rng.random(I1.shape)
     measures = Pair(error_bars=0, reference="a", deformed="b")
-    advice = "could be followed; only .* check that both show the same sample"
-    with pytest.raises(eofm.InputError, match="^none of .* " + advice):
-        eofm.analyse(I1, other, measures=measures, estimation=QUICK)
-    with pytest.raises(eofm.InputError, match="^frames 2 and 3: none of .* " + advice):
-        eofm.analyse(I1, I2, other, measures=measures, estimation=QUICK)
+    found = eofm.analyse(I1, I2, other, measures=measures, estimation=QUICK)
+    assert found.steps[0].trust.verdict != "failed"
+    assert found.trust.verdict == "failed"
+    (reason,) = found.trust.reasons
+    assert "(frames 2 and 3)" in reason
+    assert "check that both show the same sample" in reason
+    assert found.summary["bubbles"][1] == 0
+    assert len(found.steps[0].bubbles) > 0
+
+
+def test_a_field_is_found_where_no_bubble_can_be_followed(pair, truth, tmp_path):
+    I1, I2, _ = pair
+    measures = Pair(error_bars=0, reference="a", deformed="b", figures="png")
+    strict = Tracking(quality=0.9999999)
+    found = eofm.analyse(I1, I2, measures=measures, tracking=strict)
+    assert found.summary["bubbles"] == [0]
+    assert np.abs(found.u - truth).mean() < 0.1
+    found.write(tmp_path)
+    assert "None of" in (tmp_path / "report.html").read_text()
+    assert pd.read_csv(tmp_path / "bubbles.csv").empty
 
 
 def test_brightness_that_changes_from_place_to_place(rng):
