@@ -1,4 +1,4 @@
-"""The one exception for input that cannot be used."""
+"""Exceptions for input that cannot be used, or not for all that was asked of it."""
 
 
 class InputError(ValueError):
@@ -9,3 +9,7 @@ class InputError(ValueError):
 
     def __init__(self, text: str = "") -> None:
         super().__init__("".join(c if c.isprintable() else repr(c)[1:-1] for c in text))
+
+
+class UndeterminedError(InputError):
+    """What images do not tell; all else that was asked of them can be had."""

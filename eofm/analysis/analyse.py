@@ -203,8 +203,8 @@ def analyse(
     match = worst(steps).map
     found |= summary.of_images(frames, dead, printed, lines, (left, without), share, match)
     found["reach_px"] = summary.reach(shape, estimation)
-    if (stiffness := steps[0].stiffness) is not None:
-        found["stiffness"] = summary.of_stiffness(stiffness)
+    if measures.stiffness:
+        found["stiffness"] = summary.of_stiffness(steps[0])
     deviation = np.sqrt(variance) if measures.error_bars else None
     if deviation is not None:
         found["deviation_median_px"] = [float(np.median(d)) for d in deviation]

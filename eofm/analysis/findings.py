@@ -281,11 +281,18 @@ def _linear(summary: dict[str, Any]) -> Iterator[Finding]:
         )
 
 
+# What to do where the sample that was identified does not fit.
+UNFIT = (
+    "check the Poisson ratio, the plane, and the motion of edges that was stated, which a sample"
+    " that slides does not have; noise, and speckle that changes, hide a modulus as well"
+)
+
+
 def _stiffness(summary: dict[str, Any]) -> Iterator[Finding]:
     stiffness = summary.get("stiffness") or {}
     if stiffness.get("refused"):
         text, _, advice = stiffness["refused"].partition("; ")
-        yield Finding("doubt", "No stiffness: " + text + ".", _sentence(advice))
+        yield Finding("doubt", f"No stiffness: {text}.", _sentence(advice or UNFIT))
     elif stiffness and abs(stiffness["edge_motion_factor"] - 1) > 1e-6:
         yield Finding(
             "doubt",

@@ -1,5 +1,6 @@
 """One step from a frame to the next: what was found, and whether the images bear it out."""
 
+import logging
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pandas as pd
 
 from eofm.analysis.quality import inconsistency
 from eofm.analysis.summary import length
+from eofm.errors import UndeterminedError
 from eofm.flow.estimate import estimate_displacement
 from eofm.flow.found import Estimate
 from eofm.flow.known import Known
@@ -16,6 +18,8 @@ from eofm.identification.stiffness import Stiffness, identify_stiffness
 from eofm.identification.uncertainty import deviations
 from eofm.imaging.bubbles import followed
 from eofm.settings import WARPING, Estimation, Identification, Sample, Tracking
+
+log = logging.getLogger(__name__)
 
 # Correlation of the images above which bubbles that move otherwise by so many px are left out.
 SURE, CONTRADICTING = 0.5, 1.5
@@ -43,6 +47,8 @@ class Step:
     trust : Trust
         Whether the images bear the estimate out.
     stiffness : Stiffness or None
+    refused : str
+        Why there is no modulus that may be trusted, where one was asked for.
     modulus_deviation : ndarray, shape (height, width), or None
         Standard deviation of the logarithm of its modulus.
     """
@@ -55,6 +61,7 @@ class Step:
     inconsistency: Array
     trust: Trust
     stiffness: Stiffness | None
+    refused: str
     modulus_deviation: Array | None
 
 
@@ -79,20 +86,26 @@ def follow(
     images = estimate_displacement(I1, I2, Estimation(**kept), known, progress=progress)
     bubbles, found = _tracked(I1, I2, tracking, images, known.dead)
     known = replace(known, bubbles=bubbles)
-    stiffness, deviation, modulus_deviation = None, None, None
-    if sought is None:
+    stiffness, deviation, modulus_deviation, refused = None, None, None, ""
+    if sought is not None:
+        try:
+            stiffness = identify_stiffness(I1, I2, *sought, estimation, known, progress=progress)
+        except UndeterminedError as error:
+            refused = str(error)
+    if stiffness is None:
         estimate = estimate_displacement(I1, I2, estimation, known, progress=progress)
         if error_bars:
             deviation = estimate.deviation(error_bars)
     else:
-        stiffness = identify_stiffness(I1, I2, *sought, estimation, known, progress=progress)
-        estimate = stiffness.estimate
+        estimate, refused = stiffness.estimate, stiffness.refused
         if error_bars:
             deviation, modulus_deviation = deviations(stiffness, samples=error_bars)
         # What the way there has learnt, the way back knows too.
         edges = {edge: stiffness.scale * g for edge, g in known.edges.items()}
         u_bg = known.background if stiffness.alone else stiffness.elastic
         known = replace(known, background=u_bg, edges=edges)
+    if refused:
+        log.warning("no stiffness: %s", refused)
     back = known.backwards(I2.shape)
     again = estimation.changed(alpha=estimate.alpha)
     w = estimate_displacement(I2, I1, again, back, progress=progress).u
@@ -106,6 +119,7 @@ def follow(
         errors,
         _trust(estimate.trust, deviation, errors, known.dead),
         stiffness,
+        refused,
         modulus_deviation,
     )
 

@@ -17,7 +17,6 @@ from eofm.settings import Estimation, Measures
 
 if TYPE_CHECKING:
     from eofm.analysis.step import Step
-    from eofm.identification.stiffness import Stiffness
 
 # Share of the images in the estimate, and their correlation, below which the regulariser holds a
 # pixel alone. Where they match, a small share says that there is no detail, not that nothing is
@@ -124,17 +123,19 @@ def reach(shape: tuple[int, ...], estimation: Estimation) -> list[float]:
     return [min(2 * coarsest, n / 2) for n in shape[::-1]]
 
 
-def of_stiffness(found: "Stiffness") -> dict[str, Any]:
+def of_stiffness(step: "Step") -> dict[str, Any]:
     """What the identification says of itself."""
-    return {
-        "refused": found.refused or None,
+    refused = {"refused": step.refused or None}
+    if (found := step.stiffness) is None:
+        return refused | {"modulus_range": None}
+    return refused | {
         "modulus_range": None if found.refused else [float(found.E.min()), float(found.E.max())],
         "contrast_is_significant": found.contrast,
         "edges_sought": list(found.fit.problem.model.loose),
         "edge_motion_factor": found.scale,
         "gamma": found.gamma,
         "rounds": found.rounds,
-        "last_change_of_u": found.change,
+        "last_change_of_u": found.change if np.isfinite(found.change) else None,
     }
 
 

@@ -8,7 +8,7 @@ import scipy.sparse as sp
 
 from eofm.elasticity.forward import deform
 from eofm.elasticity.sensitivity import Elastic
-from eofm.errors import InputError
+from eofm.errors import UndeterminedError
 from eofm.flow.estimate import estimate_displacement
 from eofm.flow.found import Estimate
 from eofm.flow.known import Known
@@ -94,7 +94,7 @@ def factor_of_motion(
 
     Raises
     ------
-    InputError
+    UndeterminedError
         If the images contradict the motion of an edge by more than ``settings.doubt``, or the
         edges move alike over most of their length.
     """
@@ -106,14 +106,14 @@ def factor_of_motion(
     a, b = seen - seen.mean(0), stated - stated.mean(0)
     largest = float(np.abs(stated).max())
     if np.abs(b).max() <= 0.01 * largest:
-        raise InputError(
+        raise UndeterminedError(
             "stiffness cannot be told from edges most of which move alike; it needs two that move"
             " differently over most of their length"
         )
     scale = float((a * b).sum() / (b * b).sum())
     wrong = float(np.abs(seen - stated).max())
     if wrong > max(settings.doubt * largest, UNCERTAIN) or abs(scale - 1) > settings.doubt:
-        raise InputError(
+        raise UndeterminedError(
             f"the images contradict the motion of the edges by {wrong:.2f} px and would have"
             f" {scale:.3f} times of it; state it better, or raise the doubt ({settings.doubt:g})"
         )

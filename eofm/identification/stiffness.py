@@ -155,7 +155,9 @@ def identify_stiffness(
     Raises
     ------
     InputError
-        If the images are not of the sample's size, or contradict the motion of the edges.
+        If the images are not of the sample's size.
+    UndeterminedError
+        If they contradict the motion of the edges.
 
     Notes
     -----

@@ -326,6 +326,21 @@ def test_a_sample_is_identified_with_the_motion_that_the_images_show(tmp_path):
     assert not (tmp_path / "deviation.tif").exists()
 
 
+def test_a_stiffness_that_cannot_be_told_is_said_and_the_displacement_kept(tmp_path, caplog):
+    """The bottom moves by 2 px, not by the 4 px stated."""
+    for name, I in zip(("before", "after"), pressed.pair()[:2], strict=True):
+        tifffile.imwrite(tmp_path / f"{name}.tif", I.astype(np.float32))
+    pair = describe(tmp_path, top="fixed", bottom="moved 0 -4", stiffness=True, error_bars=0)
+    found = analyse(pair)
+    assert found.summary["stiffness"]["modulus_range"] is None
+    assert "contradict the motion of the edges" in found.summary["stiffness"]["refused"]
+    assert "no stiffness: the images contradict" in caplog.text
+    np.testing.assert_allclose(found.u[1, -1], -4, atol=1e-9)
+    found.write(tmp_path, kinds=())
+    assert "No stiffness" in (tmp_path / "report.html").read_text()
+    assert not (tmp_path / "stiffness.tif").exists()
+
+
 def test_a_scene_says_where_the_sample_goes_on_and_what_of_it_is_shown(files):
     part = {"roi": (10, 10, 60, 40), "extent": (10, 0, 80, 61)}
     scene = read_scene(describe(files, **part, left="outside", stiffness=True))
