@@ -198,9 +198,9 @@ def analyse(
         dead | printed,
     )
     found = summary.of_motion(pixel_size, dead, steps, total)
-    found |= summary.of_strain(e, measures, window, dead)
-    without = residual(first, last, np.zeros_like(total))
     match = worst(steps).map
+    found |= summary.of_strain(e, measures, window, dead | summary.held(share, match))
+    without = residual(first, last, np.zeros_like(total))
     found |= summary.of_images(frames, dead, printed, lines, (left, without), share, match)
     found["reach_px"] = summary.reach(shape, estimation)
     if measures.stiffness:

@@ -59,20 +59,24 @@ def of_motion(
     }
 
 
-def of_strain(e: Array, measures: Measures, window: float, dead: Mask) -> dict[str, Any]:
-    """Mean and range of each strain and of what does not depend on the axes."""
+def of_strain(e: Array, measures: Measures, window: float, left_out: Mask) -> dict[str, Any]:
+    """Mean and range of each strain and of what does not depend on the axes.
+
+    Of what the images show: air, in which the field was filled in, is no part of the sample.
+    """
+    seen = ~left_out if not left_out.all() else ~np.zeros_like(left_out)
     n = e.ndim - 1
     named = dict(zip(labels(n), e, strict=True)) | invariants(e, measures.strain_measure)
     ranges = {}
     for name, values in named.items():
-        live = values[~dead]
+        live = values[seen]
         low, high = np.nanpercentile(live, RANGE)
         ranges[name] = {"mean": float(np.nanmean(live)), "low": float(low), "high": float(high)}
     return {
         "strain_filter": FILTER,
         "strain_window_um": window,
         "strain_measure": measures.strain_measure,
-        "axial_strain_mean": float(e[1].mean()),
+        "axial_strain_mean": ranges[labels(n)[1]]["mean"],
         "strains": ranges,
     }
 

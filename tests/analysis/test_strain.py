@@ -4,7 +4,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eofm.analysis.strain import strain
+from eofm.analysis.summary import of_strain
 from eofm.errors import InputError
+from eofm.settings import Measures
 
 
 @given(st.integers(8, 40), st.integers(8, 40), st.floats(0.5, 8), st.integers(0, 2**20))
@@ -64,3 +66,17 @@ def test_a_volume_that_goes_on_as_an_image_has_the_image_s_strain(rng):
     e = strain(volume, (3.0, 2.0, 7.0), 10.0)
     np.testing.assert_allclose(e[[0, 1, 3], 4], strain(u, (3.0, 2.0), 10.0), atol=1e-6)
     np.testing.assert_allclose(e[[2, 4, 5]], 0, atol=1e-6)
+
+
+def test_the_mean_is_that_of_what_the_images_show():
+    """Air is filled in, and so is its strain."""
+    e = np.zeros((3, 10, 12))
+    e[1] = -0.02
+    e[1, :4], air = 0.3, np.zeros((10, 12), dtype=bool)
+    air[:4] = True
+    found = of_strain(e, Measures(), 3.0, air)
+    assert found["axial_strain_mean"] == pytest.approx(-0.02)
+    assert found["strains"]["e22 axial"]["high"] == pytest.approx(-0.02)
+    # Where they show nothing, all of it is all there is.
+    everywhere = of_strain(e, Measures(), 3.0, np.ones_like(air))
+    assert everywhere["axial_strain_mean"] == pytest.approx(e[1].mean())
