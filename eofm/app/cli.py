@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 from eofm import io
 from eofm.app import steps, tiles
-from eofm.app.options import Files, Step, add_files, add_options, arguments_of
+from eofm.app.options import Files, Step, StepParser, add_files, add_options, arguments_of
 from eofm.errors import InputError
 from eofm.settings import Section
 from eofm.threads import use_threads
@@ -139,7 +139,9 @@ def parser() -> argparse.ArgumentParser:
     formatter = argparse.RawDescriptionHelpFormatter
     words = argparse.ArgumentParser("eofm", description=DESCRIPTION, formatter_class=formatter)
     words.add_argument("--version", action="version", version=f"eofm {version('eofm')}")
-    steps = words.add_subparsers(title="steps", metavar="STEP", required=True)
+    steps = words.add_subparsers(
+        title="steps", metavar="STEP", required=True, parser_class=StepParser
+    )
     for step in STEPS:
         summary, _, rest = (step.__doc__ or "").partition("\n")
         text = "\n".join(line.removeprefix("    ") for line in rest.splitlines())

@@ -94,6 +94,25 @@ class Files:
                 io.check_place(path, format)
 
 
+class StepParser(argparse.ArgumentParser):
+    """The parser of a step, which says what a misspelt option may have been."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Refuse unknown options first: what else is wrong may come of them."""
+        known = [option for option in self._option_string_actions if option.startswith("--")]
+        for word in args or ():
+            name = word.partition("=")[0]
+            if name == "--":  # only files follow
+                break
+            # Several words in one are a value; options may be shortened.
+            if not name.startswith("--") or " " in name or any(o.startswith(name) for o in known):
+                continue
+            close = get_close_matches(name, known, 1)
+            hint = f"did you mean {close[0]}?" if close else "--help names those that there are"
+            self.error(f"unknown option {name}; {hint}")
+        return super().parse_known_args(args, namespace)
+
+
 def add_files(parser: argparse.ArgumentParser, step: Step) -> None:
     """Add the files of a step to its parser."""
     parameters = inspect.signature(step).parameters

@@ -12,7 +12,7 @@ from test_io import KINDS, written
 
 import eofm
 from eofm import io
-from eofm.app.cli import STEPS, main
+from eofm.app.cli import STEPS, main, parser
 
 
 @pytest.fixture(scope="module")
@@ -96,6 +96,27 @@ def test_help_teaches_each_step(step, capsys):
 def test_wrong_usage_is_status_two(words):
     with pytest.raises(SystemExit, match="2"):
         main(words)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["a", "b", "--output", "u", "--alhpa", "3"], "--alhpa; did you mean --alpha?"),
+        (["a", "b", "--ouput=u"], "--ouput; did you mean --output?"),
+        (["a", "b", "out", "--zero_edges", "top"], "--zero_edges; did you mean --zero-edges?"),
+        (["a", "b", "--output", "u", "--qqq"], "--qqq; --help names those that there are"),
+    ],
+)
+def test_a_misspelt_option_is_named_with_what_it_may_have_been(capsys, words, said):
+    with pytest.raises(SystemExit, match="2"):
+        main(["estimate", *words])
+    assert capsys.readouterr().err.endswith(f"\neofm estimate: error: unknown option {said}\n")
+
+
+def test_options_may_be_shortened_and_values_have_dashes():
+    words = ["estimate", "--out", "u.tif", "--alph=2", "--bubbles=--x", "--", "a.tif", "--b.tif"]
+    given = parser().parse_args(words)
+    assert (given.alpha, str(given.bubbles), str(given.deformed)) == (2, "--x", "--b.tif")
 
 
 @pytest.mark.parametrize("step", ["track", "estimate"])
