@@ -80,7 +80,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
     temporary, waits = None, False
     try:
         with _uninterrupted():  # so that what was made is known
-            temporary = _temporary(place, path)
+            temporary = _temporary(place)
         yield temporary
         mask = os.umask(0)
         os.umask(mask)
@@ -124,12 +124,9 @@ def _is_alive(process: int) -> bool:
     return True
 
 
-def _temporary(place: Path, path: Path) -> Path:
+def _temporary(place: Path) -> Path:
     prefix = f".eofm-{platform.node()}-{os.getpid()}-"
-    try:
-        handle, name = tempfile.mkstemp(dir=place.parent, prefix=prefix, suffix=place.suffix)
-    except OSError as error:
-        raise _named(error, path) from None
+    handle, name = tempfile.mkstemp(dir=place.parent, prefix=prefix, suffix=place.suffix)
     os.close(handle)
     return Path(name)
 

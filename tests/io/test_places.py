@@ -108,6 +108,18 @@ def test_a_full_disk_names_the_file(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_folder_that_takes_no_file_is_told_once(tmp_path, monkeypatch):
+    """Whom the folder does not let write, though it looked as if it did."""
+
+    def denied(*_, **__):
+        raise OSError(13, "Permission denied")
+
+    monkeypatch.setattr("tempfile.mkstemp", denied)
+    told = rf"^{tmp_path}/u.tif: cannot be written \(Permission denied\)$"
+    with pytest.raises(OSError, match=told):
+        io.write_image(tmp_path / "u.tif", np.eye(4))
+
+
 def test_files_may_be_named_by_words(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     I, u = np.arange(600.0).reshape(20, 30) / 600, np.zeros((2, 20, 30))
