@@ -112,7 +112,7 @@ def _write_figures(results: Analysis, folder: Path, kinds: Sequence[str]) -> Non
 
 
 def check_results(folder: Path, pair: Pair) -> None:
-    """Refuse a folder that cannot hold results, or in which they would replace what is read.
+    """Refuse a folder that cannot hold results, or where they would replace what is read.
 
     Raises
     ------
@@ -122,6 +122,9 @@ def check_results(folder: Path, pair: Pair) -> None:
     place = folder.resolve()
     if place.exists() and not place.is_dir():
         raise InputError(f"{folder}: is no folder; name one")
+    above = next(parent for parent in place.parents if parent.exists())
+    if not place.exists() and not (above.is_dir() and os.access(above, os.W_OK | os.X_OK)):
+        raise InputError(f"{folder}: nothing can be written to {above}; name another folder")
     texts = [value for value in pair.model_dump().values() if isinstance(value, str)]
     for word in (word for text in texts for word in (text, *text.split())):
         file = Path(os.path.realpath(word.partition("#")[0].replace("\0", "")))

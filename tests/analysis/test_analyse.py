@@ -11,6 +11,7 @@ import tifffile
 from scipy.io import savemat
 
 import eofm
+from eofm.analysis.report import check_results
 from eofm.analysis.scene import read_scene
 from eofm.imaging.splines import evaluate, evaluate_field, resize
 from eofm.settings import WARPING, Estimation, Pair, Tracking
@@ -304,6 +305,15 @@ def test_bad_descriptions_end_before_any_work(files, more, message):
     with pytest.raises(eofm.InputError, match=message) as caught:
         read_scene(describe(files, **more))
     assert "\n" not in str(caught.value)
+
+
+def test_a_folder_that_cannot_be_made_is_told_before_any_work(files, monkeypatch):
+    (files / "text").touch()
+    with pytest.raises(eofm.InputError, match=r"new: nothing can be written to .*text; name"):
+        check_results(files / "text" / "new", describe(files))
+    monkeypatch.setattr("os.access", lambda *_: False)
+    with pytest.raises(eofm.InputError, match=rf"new: nothing can be written to {files}; name"):
+        check_results(files / "deep" / "new", describe(files))
 
 
 def test_a_sample_is_identified_with_the_motion_that_the_images_show(tmp_path):
