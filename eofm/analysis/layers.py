@@ -121,7 +121,7 @@ def _bubbles(path: Path, n: int) -> Iterator[Layer]:
     if not path.is_file():
         return
     table = pd.read_csv(path)
-    table = table[table["step"] == 0]
+    table = table[table["step"] == 1]
     at = table[[f"x{i + 1}" for i in range(n)]].to_numpy(float)[:, ::-1]
     more = {"name": "bubbles", "size": 3, "face_color": "transparent", "border_color": "red"}
     yield at, {**more, "visible": False}, "points"

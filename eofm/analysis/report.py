@@ -57,11 +57,11 @@ def write_results(
     ``strain_invariants.tif`` (principal strains, change of volume, maximum shear), ``trust.tif``
     (correlation of the images after the motion), all but the images NaN in dead zones,
     ``results.vti`` (the same for ParaView), ``bubbles.csv``, ``report.html`` (one page that
-    explains them), ``summary.json``, ``provenance.json``, for sequences also ``increments.tif``,
-    with an identified sample ``stiffness.tif`` and ``stiffness_deviation.tif`` (of log E), and
-    the figures
-    ``pair``, ``displacement``, ``strain``, ``quality`` and ``stiffness`` as files of some
-    ``kinds``: png, pdf.
+    explains them), ``summary.json``, ``provenance.json``, for sequences also ``increments.tif``
+    (the displacement of each step, px; steps count from 1), with an identified sample
+    ``stiffness.tif`` and ``stiffness_deviation.tif`` (of log E), and the figures ``pair``,
+    ``displacement``, ``strain``, ``quality`` and ``stiffness`` as files of some ``kinds``: png,
+    pdf.
     What an earlier run left there and this one does not make is removed. All files appear
     together once the last one is complete, the summary at the very end.
     """
@@ -163,9 +163,10 @@ def _write_fields(results: Analysis, folder: Path) -> None:
         io.write_image(folder / "stiffness_deviation.tif", seen(first.modulus_deviation), sides)
     if len(results.steps) > 1:
         increments = seen(np.concatenate([step.estimate.u for step in results.steps]))
-        names = [f"step {k}: u{i + 1} [px]" for k in range(len(results.steps)) for i in range(n)]
+        count = len(results.steps)
+        names = [f"step {k + 1}: u{i + 1} [px]" for k in range(count) for i in range(n)]
         io.write_pages(folder / "increments.tif", increments, names, sides)
-    tables = [step.bubbles.assign(step=k) for k, step in enumerate(results.steps)]
+    tables = [step.bubbles.assign(step=k) for k, step in enumerate(results.steps, 1)]
     io.write_table(folder / "bubbles.csv", pd.concat(tables, ignore_index=True))
 
 

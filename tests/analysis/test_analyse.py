@@ -171,7 +171,12 @@ def test_a_sequence_adds_up(files, truth):
     assert np.sqrt((found**2).mean()) < 0.25
     np.testing.assert_allclose(result.u[:, 0], 0, atol=1e-9)
     result.write(files)
-    assert tifffile.imread(files / "increments.tif").shape == (4, *truth.shape[1:])
+    # Steps count from 1, as in what is said of them.
+    with tifffile.TiffFile(files / "increments.tif") as file:
+        assert file.asarray().shape == (4, *truth.shape[1:])
+        steps = [label.partition(":")[0] for label in file.imagej_metadata["Labels"]]
+    assert steps == ["step 1", "step 1", "step 2", "step 2"]
+    assert set(pd.read_csv(files / "bubbles.csv").step) == {1, 2}
 
 
 def test_the_step_of_a_sequence_that_fails_is_named(truth):
