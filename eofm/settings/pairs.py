@@ -17,7 +17,10 @@ class Measures(Section):
     """What is made of a displacement."""
 
     strain_window: Positive | None = Field(
-        None, description="Gaussian window of the strain's local linear fits, um; none: 3 px"
+        None,
+        description="standard deviation of the Gaussian window of the strain's local linear fits,"
+        " um (px if no size of a pixel is known), the same along all axes, and so fewer px where"
+        " pixels are longer; none: 3 times the geometric mean of their sides",
     )
     strain_measure: Literal["small", "green-lagrange", "almansi", "hencky"] = Field(
         "small", description="small strain, or a measure of large ones"

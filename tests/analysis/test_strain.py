@@ -29,6 +29,18 @@ def test_true_lengths_of_pixels_that_are_not_square():
     np.testing.assert_allclose(e[:2], 0, atol=1e-9)
 
 
+def test_the_window_has_one_width_along_all_axes():
+    """Waves that are as long in um are averaged alike, however many pixels they have."""
+    sides, window, wave = (2.0, 5.0), 12.0, 80.0
+    x2, x1 = (side * x for side, x in zip(sides[::-1], np.mgrid[:80, :200], strict=True))
+    u = np.stack([np.sin(2 * np.pi * x / wave) / h for x, h in zip((x1, x2), sides, strict=True)])
+    e = strain(u, sides, window)[:2, 20:-20, 50:-50]
+    lateral, axial = (np.abs(component).max() for component in e)
+    assert lateral == pytest.approx(axial, rel=0.05)
+    assert lateral < 0.7 * 2 * np.pi / wave
+    assert "the same along all axes" in (Measures.model_fields["strain_window"].description or "")
+
+
 def test_noise_is_averaged_as_the_window_grows(rng):
     u = rng.normal(0, 0.05, (2, 80, 80))
     spread = [strain(u, (1.0, 1.0), w).std() for w in (1, 2, 4)]
