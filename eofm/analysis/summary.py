@@ -91,13 +91,15 @@ def of_images(
     match: Array,
 ) -> dict[str, Any]:
     """What is left of their difference after and without the motion, and what they say."""
-    seen = ~(dead | printed)
+    seen, live = ~(dead | printed), ~dead
     after, without = (float(np.sqrt(np.nanmean(r[seen] ** 2))) for r in residuals)
     return {
         "residual_rms": after,
         "residual_rms_without_motion": without,
-        "share_of_data_median": float(np.median(share)),
-        "share_held_by_regulariser": float(held(share, match)[~dead].mean()),
+        # Of a detail as wide as sigma: tiny, and rightly so, where a smooth motion is averaged
+        # over more. The pixels that are held tell what to doubt.
+        "share_of_data_median": float(np.median(share[live])),
+        "share_held_by_regulariser": float(held(share, match)[live].mean()),
         "looks_linear": looks_linear(frames[0]),
         "defect_share": [_defect_share(I, dead) for I in frames],
         "printed_share": float((printed & ~dead).mean()),

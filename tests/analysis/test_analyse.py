@@ -113,6 +113,7 @@ def test_dead_zones_carry_no_data(files, pair):
     clean = analyse(with_mask, estimation=QUICK)
     bubbles = clean.steps[0].bubbles
     assert not ((bubbles.x1.between(30, 59)) & (bubbles.x2.between(20, 39))).any()
+    assert clean.summary["share_of_data_median"] == np.median(clean.share[~clean.dead])
     spoilt = analyse(describe(files, **edges), estimation=QUICK)
     assert clean.summary["residual_rms"] < spoilt.summary["residual_rms"]
 

@@ -77,6 +77,7 @@ def test_the_page_says_what_the_summary_says(written, results):
     assert 'class="before pixels"' in text
     assert 'class="after pixels"' in text
     assert "The mask leaves out 1% of the image." in text
+    assert "small values, below 1 % too, are normal" in text
 
 
 def test_the_same_results_have_the_same_page(results):
