@@ -108,10 +108,11 @@ def estimate_displacement(
     known.check(I1, I2)
     if not settings.robust:
         return _estimate(I1, I2, settings, known, progress)
-    frame = frames(*normalise(I1, I2))
-    known = replace(known, dead=frame | known.dead_on(I1.shape)) if frame.any() else known
-    estimate = partial(_estimate, settings=settings, known=known, progress=progress)
     dead = known.dead_on(I1.shape)
+    frame = frames(*normalise(I1, I2), dead)
+    dead = dead | frame
+    known = replace(known, dead=dead) if frame.any() else known
+    estimate = partial(_estimate, settings=settings, known=known, progress=progress)
     found = without_lines(I1, I2, dead, estimate)
     return replace(found, printed=found.printed | frame)
 

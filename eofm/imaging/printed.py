@@ -26,13 +26,16 @@ ENDS = (0, 1), (-1, -1)
 TINY = float(np.finfo(np.float32).tiny)
 
 
-def frames(I1: Array, I2: Array) -> Mask:
-    """Pixels of frames and of sectors, with what is next to them.
+def frames(I1: Array, I2: Array, dead: Mask | None = None) -> Mask:
+    """Pixels of frames and of sectors, with what is next to them, but what is dead already.
 
     Parameters
     ----------
     I1, I2 : ndarray, shape (height, width) or (depth, height, width)
         Of one grey scale.
+    dead : ndarray of bool, of their shape, optional
+        Pixels that are left out anyway. Where a frame ends with them, what is next to it is the
+        sample.
     """
     found = np.zeros(I1.shape, dtype=bool)
     if np.array_equal(I1, I2):
@@ -41,7 +44,12 @@ def frames(I1: Array, I2: Array) -> Mask:
     J1, J2 = I1[inner], I2[inner]
     found[...] = True
     found[inner] = _sectors(J1, J2)
-    return with_margin(found)
+    if dead is None:
+        return with_margin(found)
+    # A few pixels that have by chance the value with which dead ones were filled are no frame.
+    label, _, count = parts(found & ~dead)
+    sizes = np.bincount(label.ravel(), minlength=count + 1)
+    return with_margin(found & ~dead & (sizes >= LEAST)[label]) & ~dead
 
 
 def _box(I1: Array, I2: Array) -> tuple[slice, ...]:

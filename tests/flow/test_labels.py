@@ -111,6 +111,30 @@ def test_frames_have_the_size_that_they_have():
     np.testing.assert_array_equal(frames(I1, I2), grown)
 
 
+@pytest.mark.parametrize("bits", [None, 255, 40])
+def test_what_a_mask_leaves_out_is_not_printed_nor_what_is_next_to_it(bits):
+    """A masked dark area, filled with one value as in `eofm sample`, is no frame."""
+    u = motion(size=3.0)
+    I1, I2, _ = eofm.make_phantom(u, eofm.Phantom(count=900, seed=2, base=0.05))
+    dead = X2 - 10 * np.cos((X1 - 56) / 30) < 20
+    for value in (0.0, np.median(I1[~dead])):
+        J1, J2 = (np.where(dead, value, I) / I1.max() for I in (I1, I2))
+        if bits:
+            J1, J2 = (np.round(bits * J) for J in (J1, J2))
+        assert frames(J1, J2).any()
+        assert not frames(J1, J2, dead).any()
+        if not bits:
+            found = eofm.estimate_displacement(J1, J2, known=eofm.Known(dead=dead))
+            assert not found.printed.any()
+
+
+def test_what_a_mask_leaves_of_a_frame_is_printed():
+    I1, I2 = map(framed, speckle(U))
+    dead = X2 < 6
+    expected = frames(I1, I2) & ~dead
+    np.testing.assert_array_equal(frames(I1, I2, dead), expected)
+
+
 def test_frames_of_volumes(rng):
     V1, V2 = rng.uniform(0.2, 1, (2, 14, 20, 24))
     for V in (V1, V2):
