@@ -22,6 +22,8 @@ logger = logging.getLogger("eofm")
 # Corners farther away than this, px, and samples larger than so many regions, are mistakes.
 FAR = 1e6
 LARGEST_EXTENT = 20
+# What to do about a mask that leaves nothing.
+INVERTED = "is it the wrong way round? It covers what to leave out"
 
 
 @dataclass(frozen=True)
@@ -82,11 +84,14 @@ def read_scene(pair: Pair) -> Scene:
     window = Place.of(roi, (*[0] * len(shape), *shape[::-1])).window
     dead = _dead(pair, shape)[window]
     if dead.all():
-        raise InputError("mask: leaves no pixel of the region of interest")
+        raise InputError(f"mask: leaves no pixel of the region of interest; {INVERTED}")
     frames = frames[:, *window]
     if dead.any():
+        left = frames[:, ~dead]
+        if (np.ptp(left, axis=1) == 0).all():
+            raise InputError(f"mask: no pixel outside of it carries data; {INVERTED}")
         # What a mask hides must not stretch the grey scale.
-        frames[:, dead] = np.median(frames[:, ~dead])
+        frames[:, dead] = np.median(left)
     if pair.intensity == "linear":
         advise_logarithm(frames[0])
     place = Place.of(roi, _extent(pair, roi))

@@ -9,10 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from tqdm import tqdm
 
+from eofm.errors import InputError
 from eofm.flow.detector import without_lines
 from eofm.flow.found import Estimate
 from eofm.flow.images import COARSE, FINEST, Images, resized
-from eofm.flow.known import Known
+from eofm.flow.known import NO_DATA, Known
 from eofm.flow.labels import labels
 from eofm.flow.pair import ImagePair
 from eofm.flow.problem import Improved, Level, Problem
@@ -111,6 +112,8 @@ def estimate_displacement(
     dead = known.dead_on(I1.shape)
     frame = frames(*normalise(I1, I2), dead)
     dead = dead | frame
+    if known.dead is not None and dead.all():
+        raise InputError(NO_DATA)
     known = replace(known, dead=dead) if frame.any() else known
     estimate = partial(_estimate, settings=settings, known=known, progress=progress)
     found = without_lines(I1, I2, dead, estimate)

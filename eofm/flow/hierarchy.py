@@ -62,6 +62,8 @@ CONTRAST = 50.0
 SINGLE = 1e4
 # Relative energy of motions without smoothness energy that is zero up to rounding.
 SINGULAR = {np.dtype(np.float64): 1e-13, np.dtype(np.float32): 1e-7}
+# Part of the pixels with data below which a mask may be the wrong way round.
+SCARCE = 0.1
 # Ratio of spacings below which a direction is coarsened together with the other.
 ALIKE = math.sqrt(2) + 1e-6
 # Steps of the smoother below and above this contrast, and coarse corrections per cycle.
@@ -163,10 +165,7 @@ def hierarchy(F: Quadratic, known: CoarseTerms | None = None) -> Levels:
         known.energy = _rigid_energy(F, stiffness)
     energies = np.linalg.eigvalsh(known.energy)
     if not energies[0] > SINGULAR[own] * max(energies[-1], stiffness * area):
-        raise InputError(
-            "the functional has no unique minimiser: images, bubbles and edges leave a motion"
-            " undetermined; give a bubble or an edge, or a smaller mask"
-        )
+        raise InputError(f"the functional has no unique minimiser: {_undetermined(A)}")
     double = own == np.float64 and (operator.bending or contrast > SINGLE)
     precision = np.float64 if double else np.float32
     average = (
@@ -202,6 +201,22 @@ def hierarchy(F: Quadratic, known: CoarseTerms | None = None) -> Levels:
     for operator, transfer in reversed(grids):
         top = Level(operator, degree, visits, transfer, top)
     return top
+
+
+def _undetermined(A: Real) -> str:
+    """Why images of a pointwise term may leave a motion open, and what to do."""
+    share = float(np.mean((A != 0).any(axis=0)))
+    if share < SCARCE:
+        some = f"only {share:.1%} of the pixels carry"
+        few = some if share > 0.001 else "hardly any pixel carries"
+        return (
+            f"{few} data; is the mask the wrong way round? It covers what to leave out; else give a"
+            " smaller one, a bubble or an edge"
+        )
+    return (
+        "images, bubbles and edges leave a motion undetermined; give a bubble or an edge, or a"
+        " smaller mask"
+    )
 
 
 def _stiffness(K: Operator) -> tuple[float, float]:

@@ -18,6 +18,11 @@ if TYPE_CHECKING:
 COLOURS, FLAT = (3, 4), 5
 # Largest ratio of two sides of a pixel.
 LONGEST = 100.0
+# What is said of a mask that leaves only what is empty.
+NO_DATA = (
+    "dead: no pixel outside of the mask carries data; is it the wrong way round? It covers what to"
+    " leave out"
+)
 
 
 @dataclass(frozen=True)
@@ -83,7 +88,7 @@ class Known:
         if self.background is not None:
             _numbers("background", self.background, (ndim, *shape))
         if self.dead is not None:
-            _mask(self.dead, shape)
+            _mask(self.dead, I1, I2)
         for edge, motion in self.edges.items():
             if edge not in faces(ndim):
                 known = ", ".join(faces(ndim))
@@ -183,12 +188,15 @@ def _numbers(name: str, values: Array, *shapes: tuple[int, ...]) -> None:
         raise InputError(f"{name}: has NaN or infinite values; replace them")
 
 
-def _mask(dead: Mask, shape: tuple[int, ...]) -> None:
-    """Refuse what is no mask of images of a shape, or leaves nothing."""
-    values = np.asarray(dead)
+def _mask(dead: Mask, *images: Array) -> None:
+    """Refuse what is no mask of some images, or leaves nothing of them."""
+    values, shape = np.asarray(dead), images[0].shape
     if values.dtype != np.bool_:
         raise InputError(f"dead: wanted a mask of True and False, got {values.dtype}; compare it")
     if values.shape != shape:
         raise InputError(f"dead: has the shape {values.shape}, but the images have {shape}")
     if values.all():
         raise InputError("dead: the mask leaves no pixel; is it the wrong way round?")
+    first = int(np.argmin(values))
+    if all((values | (I.flat[first] == I)).all() for I in images):
+        raise InputError(NO_DATA)

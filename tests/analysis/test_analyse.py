@@ -313,6 +313,21 @@ def test_bad_descriptions_end_before_any_work(files, more, message):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("noise", "message"),
+    [(0.0, "mask: no pixel outside of it .* data; is it"), (0.002, "bubble.*; is the mask")],
+)
+def test_an_inverted_mask_is_told(files, pair, rng, noise, message):
+    sample = np.zeros(pair[0].shape, np.uint8)
+    sample[10:50, 15:75] = 1
+    tifffile.imwrite(files / "mask.tif", sample)
+    for name, I in zip(("before", "after"), pair[:2], strict=True):
+        I = np.where(sample, I + 0.1, 0) + noise * rng.normal(size=I.shape)
+        tifffile.imwrite(files / f"{name}.tif", I.astype(np.float32))
+    with pytest.raises(eofm.InputError, match=f"{message} the wrong way round"):
+        analyse(describe(files, mask=str(files / "mask.tif")), estimation=QUICK)
+
+
 def test_a_folder_that_cannot_be_made_is_told_before_any_work(files, monkeypatch):
     (files / "text").touch()
     with pytest.raises(eofm.InputError, match=r"new: nothing can be written to .*text; name"):

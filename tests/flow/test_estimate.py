@@ -127,6 +127,21 @@ def test_what_is_known_has_to_fit(rng, known, message):
         eofm.estimate_displacement(I1, I2, known=eofm.Known(**known))
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.002])
+def test_a_mask_that_leaves_only_empty_image_may_be_inverted(rng, noise):
+    """Dark, with some noise of the detector, is what is left of images around a sample."""
+    sample = np.zeros((60, 80), dtype=bool)
+    sample[10:50, 15:65] = True
+    I1, I2 = (
+        np.where(sample, I + 0.1, 0) + noise * rng.normal(size=I.shape)
+        for I in eofm.make_phantom(np.full((2, 60, 80), 0.3), eofm.Phantom(seed=2))[:2]
+    )
+    with pytest.raises(eofm.InputError, match="no pixel outside of the mask carries data; is it"):
+        eofm.estimate_displacement(I1, I2, known=eofm.Known(dead=sample))
+    right = eofm.estimate_displacement(I1, I2, known=eofm.Known(dead=~sample))
+    assert np.abs(right.u - 0.3)[:, sample].mean() < 0.05
+
+
 @pytest.mark.parametrize(
     ("image", "message"),
     [

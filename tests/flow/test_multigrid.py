@@ -287,6 +287,15 @@ def test_undetermined_motions(shape, smoothness, free, precision):
     assert multigrid(replace(still, free=F.free)).shape == F.terms.b.shape
 
 
+@pytest.mark.parametrize(("pixels", "said"), [(0, "hardly any pixel"), (6, "only 0.3% of")])
+def test_where_hardly_a_pixel_carries_data_a_mask_may_be_inverted(pixels, said):
+    F = problem((40, 50), "bending", free="all")
+    A = np.zeros_like(F.terms.A)
+    A[:, 20, 20 : 20 + pixels] = F.terms.A[:, 20, 20 : 20 + pixels]
+    with pytest.raises(InputError, match=f"{said}.* data; is the mask the wrong way round"):
+        multigrid(replace(F, terms=Pointwise(A, F.terms.b)))
+
+
 @pytest.mark.parametrize("smoothness", SMOOTHNESS)
 @pytest.mark.parametrize("image", ["speckle", "bubbles"])
 @pytest.mark.parametrize("shape", [(60, 80), (24, 20, 26)])
