@@ -207,5 +207,5 @@ def analyse(
         found["stiffness"] = summary.of_stiffness(steps[0])
     deviation = np.sqrt(variance) if measures.error_bars else None
     if deviation is not None:
-        found["deviation_median_px"] = [float(np.median(d)) for d in deviation]
+        found["deviation_median_px"] = [float(np.median(d[~dead])) for d in deviation]
     return Analysis(first, last, dead, pixel_size, total, deviation, steps, e, left, share, found)

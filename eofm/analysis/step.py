@@ -147,9 +147,10 @@ def _tracked(
 
 def _trust(trust: Trust, deviation: Array | None, errors: Array, dead: Mask | None) -> Trust:
     """The verdict, and what error bars and the way back add to it."""
-    live = np.isfinite(errors) if dead is None else np.isfinite(errors) & ~dead
-    bar = None if deviation is None else float(np.median(length(deviation)))
-    return doubted(trust, bar, float(np.median(errors[live])) if live.any() else None)
+    live = np.ones(errors.shape, dtype=bool) if dead is None else ~dead
+    bar = None if deviation is None else float(np.median(length(deviation)[live]))
+    told = errors[live & np.isfinite(errors)]
+    return doubted(trust, bar, float(np.median(told)) if told.size else None)
 
 
 def doubted(trust: Trust, bar: float | None, gap: float | None = None) -> Trust:

@@ -39,8 +39,9 @@ def of_motion(
     """Size, bubbles, ranges of the displacement, and what each step says of itself."""
     errors = np.concatenate([step.inconsistency[~dead] for step in steps])
     quality = np.concatenate([step.bubbles.quality for step in steps])
-    ranges = {f"u{i + 1}_range_px": _span(c) for i, c in enumerate(u)}
-    ranges |= {f"u{i + 1}_range_um": _span(c * pixel_size[i]) for i, c in enumerate(u)}
+    live = u[:, ~dead]
+    ranges = {f"u{i + 1}_range_px": _span(c) for i, c in enumerate(live)}
+    ranges |= {f"u{i + 1}_range_um": _span(c * pixel_size[i]) for i, c in enumerate(live)}
     return {
         "size_px": list(u.shape[:0:-1]),
         "pixel_size_um": list(pixel_size),
@@ -52,7 +53,7 @@ def of_motion(
         "bubble_quality_median": float(np.median(quality)) if quality.size else None,
         "alpha": [step.estimate.alpha for step in steps],
         **ranges,
-        "largest_motion_px": [float(np.abs(c).max()) for c in u],
+        "largest_motion_px": [float(np.abs(c).max()) for c in live],
         "dead_share": float(dead.mean()),
         "forward_backward_error_median_px": float(np.nanmedian(errors)),
         "trust": [step.trust.summary() for step in steps],
