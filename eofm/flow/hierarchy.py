@@ -72,6 +72,11 @@ CYCLE = {
     2: {"gradient": (2, 4, 1), "bending": (3, 12, 2)},
     3: {"gradient": (2, 4, 1), "bending": (4, 12, 2)},
 }
+# A second correction of a volume is an eighth of the work, but a quarter or half of it where two
+# directions or one are coarsened, as those of flat voxels: there, every other grid has one. So it
+# is from so many nodes along these directions on, and along the others. Cubes have no such grids:
+# sides that pyramids keep, and the spacing with them, are shorter.
+DEAR, WHOLE = 36, 6
 
 
 @dataclass
@@ -82,7 +87,7 @@ class Level:
     ----------
     operator : Operator
     degree, visits : int
-        Steps of the smoother; corrections per correction of the finer grid.
+        Steps of the smoother; corrections by the coarse grid for each one by this grid.
     transfer : tuple of Between
         Where its nodes lie on the coarse grid, along each component.
     coarse : Level or Coarsest
@@ -173,7 +178,8 @@ def hierarchy(F: Quadratic, known: CoarseTerms | None = None) -> Levels:
     )
     couplings = 0 if average else COUPLINGS[free.ndim]
 
-    grids: list[tuple[Operator, Transfer]] = []
+    grids: list[tuple[Operator, Transfer, int]] = []
+    once = False
     spacing = F.grid.spacing
     while (shape := _coarser(operator.shape, spacing)) is not None:
         sides = list(zip(operator.shape[::-1], shape[::-1], strict=True))
@@ -191,14 +197,15 @@ def hierarchy(F: Quadratic, known: CoarseTerms | None = None) -> Levels:
             known.terms[number] = A, G
         A, G = known.terms[number]
         rounded = tuple(between.rounded(precision) for between in transfer)
-        grids.append((operator.rounded(precision), rounded))
+        once = not once and _dear(operator.shape, shape)
+        grids.append((operator.rounded(precision), rounded, 1 if once else visits))
         operator = Operator(A, G, np.ones(shape, dtype=np.bool_), axes, operator.bending)
     product = LOOPS[free.ndim].product
     if couplings not in known.bands:
         known.bands[couplings] = pointwise_band(operator, spacing, product)
     band = known.bands[couplings]
     top: Levels = Coarsest(operator, spacing, F.alpha, product, band, precision)
-    for operator, transfer in reversed(grids):
+    for operator, transfer, visits in reversed(grids):
         top = Level(operator, degree, visits, transfer, top)
     return top
 
@@ -242,6 +249,14 @@ def _coarser(shape: tuple[int, ...], spacing: tuple[float, ...]) -> tuple[int, .
         for n, h, has in zip(shape[::-1], spacing, room, strict=True)
     )[::-1]
     return None if image and min(coarse) < COARSEST else coarse
+
+
+def _dear(shape: tuple[int, ...], coarse: tuple[int, ...]) -> bool:
+    """Whether the next grid of a volume has far more than an eighth of the nodes, and many."""
+    sides = list(zip(shape, coarse, strict=True))
+    kept = [n for n, fewer in sides if fewer == n]
+    others = [n for n, fewer in sides if fewer < n]
+    return len(shape) == 3 and min(kept, default=0) >= WHOLE and min(others) >= DEAR
 
 
 def _rigid_energy(F: Quadratic, stiffness: float) -> Array:

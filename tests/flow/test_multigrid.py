@@ -17,7 +17,7 @@ from eofm.flow.hierarchy import LOOPS, CoarseTerms, Level, hierarchy
 from eofm.flow.multigrid import NotConverged, multigrid
 from eofm.flow.operator import M
 from eofm.flow.sweeps import smooth
-from eofm.grid import Grid
+from eofm.grid import Grid, unit_spacing
 
 SMOOTHNESS = ("gradient", "bending")
 
@@ -362,6 +362,24 @@ def test_volumes_of_all_shapes(shape, spacing, smoothness, alpha, free):
     F = problem(shape, smoothness, spacing=spacing, image="bubbles", alpha=alpha, free=free)
     _, residuals = solve(F, tol=1e-8)
     assert len(residuals) - 1 <= (20 if smoothness == "gradient" else 40)
+
+
+@pytest.mark.parametrize("sides", [(3, 3, 3), (3, 3, 20), (10, 3, 10), (4, 3, 8), (3, 20, 3)])
+@pytest.mark.parametrize("reach", [1.0, 4.0])
+def test_flat_voxels_take_the_work_of_cubes(sides, reach):
+    """Iterations, and the nodes of all grids as often as a cycle visits them."""
+    shape, spacing = (37, 50, 52), unit_spacing(sides)
+    F = problem(shape, "bending", spacing=spacing, free="all")
+    strength = np.mean([F.terms.A[k] for k in (0, 3, 5)])
+    F = replace(F, alpha=strength * reach**4)
+    top = level = hierarchy(F)
+    nodes, visits = 0, 1
+    while isinstance(level, Level):
+        nodes += visits * level.operator.free.size
+        visits, level = visits * level.visits, level.coarse
+    assert nodes < 2.5 * F.free.size
+    _, residuals = solve(F, tol=1e-8, levels=top)
+    assert len(residuals) - 1 <= 17
 
 
 @pytest.mark.parametrize("smoothness", SMOOTHNESS)
