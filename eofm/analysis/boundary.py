@@ -106,20 +106,18 @@ def _motion(
     edge: Edge, words: list[str], sides: tuple[int, ...], pixel_size: tuple[float, ...] | None
 ) -> Array:
     """Motion of an edge with so many pixels along its sides, px."""
-    n = len(sides) + 1
-    if len(words) == 1:
+    n, text = len(sides) + 1, " ".join(words)
+    if len(words) == 1 and _component(words[0]) is None:
         return _profile(edge, words[0], sides)
-    unit = words.pop() if len(words) == n + 1 else "px"
-    free = [word == "free" for word in words]
-    try:
-        told = [float(word) for word in words if word != "free"]
-    except ValueError:
-        told = []
-    readable = len(words) == n and unit in ("px", "um") and len(told) == n - sum(free)
-    if not readable or not told or not np.isfinite(told).all():
-        raise InputError(f"{edge}: cannot read 'moved {' '.join(words)}'; use {EDGE_WORDS}")
-    motion = np.full((n, *[1] * (n - 1)), np.nan)
-    motion[~np.array(free)] = np.reshape(told, (-1, *motion.shape[1:]))
+    unit = words.pop() if words and words[-1] in ("px", "um") else "px"
+    told = [_component(word) for word in words]
+    if len(told) != n or None in told or np.isnan(np.array(told, dtype=float)).all():
+        names = " ".join(("U1", "U2", "U3")[:n])
+        raise InputError(
+            f"{edge}: cannot read 'moved {text}'; say moved {names} [um], a number for each"
+            f" direction of {'an image' if n == 2 else 'a volume'}, or free for some"
+        )
+    motion = np.reshape(np.array(told, dtype=float), (n, *[1] * (n - 1)))
     if unit == "px":
         return motion
     if pixel_size is None:
@@ -128,6 +126,17 @@ def _motion(
             " axial_size, or the motion in px"
         )
     return motion / np.reshape(pixel_size, motion.shape)
+
+
+def _component(word: str) -> float | None:
+    """A finite number, or NaN for what is free; None if it is neither."""
+    if word == "free":
+        return np.nan
+    try:
+        value = float(word)
+    except ValueError:
+        return None
+    return value if np.isfinite(value) else None
 
 
 def _profile(edge: Edge, name: str, sides: tuple[int, ...]) -> Array:

@@ -88,6 +88,7 @@ def doubts(summary: dict[str, Any]) -> list[Finding]:
         _printed,
         _lines,
         _dead,
+        _unlike,
         _scale,
         _linear,
         _stiffness,
@@ -259,6 +260,18 @@ def _lines(summary: dict[str, Any]) -> Iterator[Finding]:
 def _dead(summary: dict[str, Any]) -> Iterator[Finding]:
     if summary["dead_share"] > 0:
         yield Finding("note", f"The mask leaves out {summary['dead_share']:.0%} of the image.")
+
+
+def _unlike(summary: dict[str, Any]) -> Iterator[Finding]:
+    share = max(step["unlike"] for step in summary["trust"])
+    if share >= 0.005:
+        yield Finding(
+            "note",
+            f"{share:.1%} of the image show what the other one does not; they were left out, and"
+            " the motion there is filled in.",
+            "Where both show the same sample, it moves otherwise than was found: see the map of"
+            " trust, and press in smaller steps.",
+        )
 
 
 def _scale(summary: dict[str, Any]) -> Iterator[Finding]:

@@ -231,8 +231,12 @@ def _coarse_to_fine(
             pair, (u, alpha, F, _, factor) = better
     spacing = unit_spacing(known.sides(ndim))
     u = problem.carried(u, shape) / componentwise(spacing, ndim)
-    width, stated = settings.denoising, level.stated
-    found = Estimate(u, alpha, pair, width, F, level.base, factor, left_out, spacing, stated)
+    # Of volumes, that what did not match at first is taken back alone.
+    unlike = float((all_live[-1] & ~pair.live).mean()) if ndim == 2 else 0.0
+    width, known_edges = settings.denoising, level.stated
+    found = Estimate(
+        u, alpha, pair, width, F, level.base, factor, left_out, spacing, known_edges, unlike=unlike
+    )
     return Run(found, shading > SHADED, turns)
 
 

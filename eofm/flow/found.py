@@ -58,6 +58,8 @@ class Estimate:
     lines : tuple of int
         Axes of the images along which lines of a detector, or lines that flicker, were taken off:
         0 for rows and 1 for columns of an image, 0 for slices of a volume.
+    unlike : float
+        Share of the pixels that show what the other image does not, and were left out.
     """
 
     u: Array
@@ -71,6 +73,7 @@ class Estimate:
     spacing: tuple[float, ...]
     stated: Mapping[Edge, Mask] = field(default_factory=dict)
     lines: tuple[int, ...] = ()
+    unlike: float = 0.0
 
     @property
     def weight(self) -> float | Array:
@@ -96,8 +99,8 @@ class Estimate:
     @cached_property
     def trust(self) -> Trust:
         """Whether the images, on the last scale, bear the estimate out."""
-        more = (self.contradictions, self.spread, self.standing.pull)
-        return judge(*self.carried_back(), *more).on(self.u.shape[1:])
+        said = (self.contradictions, self.spread, self.standing.pull)
+        return judge(*self.carried_back(), *said, unlike=self.unlike).on(self.u.shape[1:])
 
     @property
     def contradictions(self) -> dict[Edge, float]:

@@ -66,6 +66,10 @@ class Trust:
         one width have moved, px.
     flicker : float
         Share of the image whose lines flicker, and were not taken off: of tiles alone.
+    unlike : float
+        Share of the image that shows what the other one does not, and was left out: an instrument
+        that comes in, noise in the dark, or a part that moves otherwise than was found. It is told,
+        and no reason to doubt the rest.
     edges : mapping of float
         By how much the images contradict the stated motion of edges, px, of those that they do.
     """
@@ -84,6 +88,7 @@ class Trust:
     spread: float
     pull: float
     flicker: float
+    unlike: float
     edges: Mapping[Edge, float] = field(default_factory=dict)
 
     def on(self, shape: tuple[int, ...]) -> "Trust":
@@ -135,6 +140,7 @@ def judge(
     spread: float = 0.0,
     pull: float = 0.0,
     flicker: float = 0.0,
+    unlike: float = 0.0,
 ) -> Trust:
     """Verdict on a displacement.
 
@@ -147,7 +153,7 @@ def judge(
     u : ndarray, shape (2, ...) or (3, ...)
         In px.
     edges : mapping of float
-    spread, pull, flicker : float
+    spread, pull, flicker, unlike : float
         See :class:`Trust`.
     """
     windows = correlate(I1, warped, used)
@@ -168,6 +174,7 @@ def judge(
         spread=spread,
         pull=pull,
         flicker=flicker,
+        unlike=unlike,
         edges=edges,
     )
     said = []
@@ -188,7 +195,7 @@ def pooled(parts: Sequence[Mapping[str, Any]], voxels: Sequence[int]) -> Trust:
         return float(total / max(sum(weights), TINY))
 
     of_data = ("agreeing", "contradicting", "correlation", "empty", "spread", "pull", "flicker")
-    shares = {key: mean(key, data) for key in of_data}
+    shares = {key: mean(key, data) for key in (*of_data, "unlike")}
     shares |= {key: mean(key, voxels) for key in ("folded", "used")}
     shares["part"] = min((p["agreeing"] for p in parts if p["used"] > USED), default=1.0)
     shares["drift"] = max(part["drift"] for part in parts)
@@ -281,8 +288,8 @@ def _unlikely(trust: Trust) -> list[str]:
             " tiles do not mend; give all slices one brightness and contrast, or cut out a region"
         )
     doubts += [
-        f"{edge}: the images contradict the motion that was stated by {off:.2g} px; check it, and"
-        " say 'free' of what is not known, as along a plate that slides"
+        f"{edge}: the images contradict the motion that was stated, by about {off:.2g} px; check"
+        " it, and leave free what is not known ('moved free -3': the sample slides along the plate)"
         for edge, off in trust.edges.items()
     ]
     return doubts

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from eofm.settings.section import MOST, FileName, Positive, Section
 
@@ -10,7 +10,9 @@ from eofm.settings.section import MOST, FileName, Positive, Section
 Region = tuple[int, int, int, int] | tuple[int, int, int, int, int, int]
 
 # How the motion of an edge is said.
-EDGE_WORDS = "free, fixed, moved U1 U2 [U3] [um] (one may be free), moved FILE, or outside"
+EDGE_WORDS = (
+    "free, fixed, moved U1 U2 [um] (of a volume U1 U2 U3; some may be free), moved FILE, or outside"
+)
 
 
 class Measures(Section):
@@ -120,13 +122,19 @@ class Pair(Measures, Scale):
         return self
 
 
+def _three(tiles: tuple[int, ...]) -> tuple[int, ...]:
+    if len(tiles) != 3:
+        raise ValueError(f"wants three numbers, not {len(tiles)}: volumes alone are cut into tiles")
+    return tiles
+
+
 class Tiling(Section):
     """How a volume is cut into parts that are estimated one by one."""
 
-    tiles: Annotated[
-        tuple[Annotated[int, Field(ge=1, le=1000)], ...], Field(min_length=3, max_length=3)
-    ] = Field(
-        description="number of tiles along the lateral, axial and elevational axis of a volume"
+    tiles: Annotated[tuple[Annotated[int, Field(ge=1, le=1000)], ...], AfterValidator(_three)] = (
+        Field(
+            description="number of tiles along the lateral, axial and elevational axis of a volume"
+        )
     )
     overlap: int = Field(
         16,

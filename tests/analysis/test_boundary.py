@@ -51,12 +51,15 @@ def test_a_profile_has_a_row_per_pixel(tmp_path):
         ("", "bottom: cannot read ''"),
         ("fixed 3", "cannot read 'fixed 3'"),
         ("moved", "cannot read 'moved"),
-        ("moved 1 x", "cannot read 'moved 1 x'"),
+        ("moved 1 x", "bottom: cannot read 'moved 1 x'; say moved U1 U2 .um., a number for each"),
+        ("moved 0 -3 mm", "cannot read 'moved 0 -3 mm'"),
+        ("moved 1 2 3", "cannot read 'moved 1 2 3'; .* direction of an image, or free"),
+        ("moved -3", "cannot read 'moved -3'"),
+        ("moved free", "cannot read 'moved free'"),
+        ("moved 0 inf", "cannot read"),
         ("moved 0 nan", "cannot read"),
         ("moved free free", "cannot read"),
-        ("moved free", "free"),
         ("fixed free", "cannot read"),
-        ("moved 0 -3 mm", "cannot read"),
         ("moved nowhere.csv", "nowhere.csv"),
         ("moved 0 -40", "moves by 40 px but the image is only 40 px"),
         ("moved 60 0", "moves by 60 px but the image is only 60 px"),
@@ -90,3 +93,7 @@ def test_faces_of_a_volume_move_in_three_directions(tmp_path):
         parse_edge("front", "moved 0 0 30", VOLUME, VOXEL)
     with pytest.raises(InputError, match="a table of motions is of an image's edge"):
         parse_edge("front", f"moved {tmp_path / 'front.csv'}", VOLUME, VOXEL)
+    slides = parse_edge("bottom", "moved free -2 free", VOLUME, VOXEL).motion
+    np.testing.assert_allclose(slides[:, 0, 0], [np.nan, -2, np.nan])
+    with pytest.raises(InputError, match=r"moved free -2'; say moved U1 U2 U3 .* of a volume"):
+        parse_edge("bottom", "moved free -2", VOLUME, VOXEL)

@@ -6,7 +6,7 @@ import pytest
 
 from eofm.analysis.findings import Units, doubts, found, verdict
 
-TRUST = {"verdict": "good", "reasons": [], "agreeing": 0.97, "contradicting": 0.0}
+TRUST = {"verdict": "good", "reasons": [], "agreeing": 0.97, "contradicting": 0.0, "unlike": 0.0}
 STRAIN = {"mean": -0.03, "low": -0.05, "high": 0.01}
 GOOD = {
     "pixel_size_um": [4.0, 2.0],
@@ -144,3 +144,9 @@ def test_a_stiffness_that_was_refused_is_a_doubt():
     found_one = stiffness | {"refused": None, "modulus_range": [0.9, 4.0]}
     assert "between 0.9 and 4 times" in found(changed(stiffness=found_one))[-1]
     assert "do not bear out" in found(changed(stiffness=found_one))[-1]
+
+
+def test_what_was_left_out_of_one_image_is_noted():
+    summary = changed(trust=[TRUST, TRUST | {"unlike": 0.05}])
+    assert [t for t in said(summary, "note") if "5.0% of the image show what the other" in t]
+    assert not [t for t in said(changed(), "note") if "does not" in t]
