@@ -17,7 +17,7 @@ from eofm.errors import InputError
 from eofm.flow.images import normalised
 from eofm.flow.known import Known
 from eofm.flow.trust import Trust
-from eofm.grid import FACES, Array, Mask, geometric_mean, precision, unit_spacing
+from eofm.grid import FACES, Array, Mask, geometric_mean, precision
 from eofm.imaging.splines import warp_field
 from eofm.settings import Estimation, Identification, Measures, Sample, Tracking
 
@@ -194,7 +194,7 @@ def analyse(
         estimation.smoothness,
         steps[-1].estimate.weight,
         estimation.sigma,
-        unit_spacing(pixel_size),
+        known.spacing(len(shape)),
         dead | printed,
     )
     found = summary.of_motion(pixel_size, dead, steps, total)

@@ -21,7 +21,7 @@ from eofm.analysis.tiles import write_field
 from eofm.analysis.work import Work, read_choice
 from eofm.flow.tiles import Tile, common, shape_of
 from eofm.flow.trust import Trust, pooled
-from eofm.grid import Array, componentwise, geometric_mean, precision, unit_spacing
+from eofm.grid import Array, componentwise, geometric_mean, precision
 from eofm.imaging.greys import grown
 from eofm.settings import Figures
 
@@ -43,7 +43,7 @@ class Gathered:
         self.work, self.plan, self.field = work, work.plan, field
         self.shape, self.n = work.plan.shape, len(work.plan.shape)
         self.sides = work.plan.sides or (1.0,) * self.n
-        self.px = componentwise(unit_spacing(self.sides), self.n)
+        self.px = componentwise(work.plan.problem.grids[-1].spacing, self.n)
 
     def u(self, window: Window) -> Array:
         """Displacement, px."""

@@ -20,7 +20,7 @@ from eofm.flow.problem import Improved, Level, Problem
 from eofm.flow.pyramid import largest_small
 from eofm.flow.start import alike, correlation, details, match_blocks, ratio_left, unlike
 from eofm.flow.trial import around
-from eofm.grid import Array, Mask, componentwise, unit_spacing
+from eofm.grid import Array, Mask, componentwise
 from eofm.imaging.intensity import normalise, normalise_locally, real
 from eofm.imaging.printed import frames
 from eofm.imaging.splines import resize_field
@@ -229,7 +229,7 @@ def _coarse_to_fine(
         # Of a volume, that would be half of the work once more.
         if ndim == 2 and shading < STEADY and (better := steady(level, u, alpha, factor)):
             pair, (u, alpha, F, _, factor) = better
-    spacing = unit_spacing(known.sides(ndim))
+    spacing = known.spacing(ndim)
     u = problem.carried(u, shape) / componentwise(spacing, ndim)
     # Of volumes, that what did not match at first is taken back alone.
     unlike = float((all_live[-1] & ~pair.live).mean()) if ndim == 2 else 0.0

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eofm.errors import InputError
-from eofm.grid import FACES, Array, Edge, Mask, faces, inside
+from eofm.grid import FACES, Array, Edge, Mask, faces, inside, unit_spacing
 from eofm.imaging.splines import warp_field
 
 if TYPE_CHECKING:
@@ -16,8 +16,9 @@ if TYPE_CHECKING:
 
 # Numbers of channels of colour images, and of times that a volume so narrow would be deeper.
 COLOURS, FLAT = (3, 4), 5
-# Largest ratio of two sides of a pixel.
-LONGEST = 100.0
+# Largest ratio of two sides of a pixel, and of those of a voxel in which smoothness is measured:
+# across the shortest, flatter ones would be so stiff that images are lost in single precision.
+LONGEST, FLATTEST = 100.0, 4.0
 # What is said of a mask that leaves only what is empty.
 NO_DATA = (
     "dead: no pixel outside of the mask carries data; is it the wrong way round? It covers what to"
@@ -46,7 +47,8 @@ class Known:
         Edges beyond which the sample goes on; only the stiffness asks.
     pixel_size : (lateral, axial, elevational)
         Sides of a pixel in any unit, of images the first two. Where they differ, smoothness
-        and sigma are measured in true lengths, in units of their geometric mean.
+        and sigma are measured in true lengths, in units of their geometric mean; of voxels, no side
+        counts as more than four times the shortest there.
 
     Examples
     --------
@@ -128,6 +130,13 @@ class Known:
                 f" {LONGEST:g} times; check their unit, or resample the images"
             )
         return sides
+
+    def spacing(self, ndim: int) -> tuple[float, ...]:
+        """Distances of the pixels of an image or a volume in which smoothness is measured."""
+        sides = self.sides(ndim)
+        if ndim == 3:
+            sides = tuple(min(side, FLATTEST * min(sides)) for side in sides)
+        return unit_spacing(sides)
 
     def dead_on(self, shape: tuple[int, ...]) -> Mask:
         """Return the pixels that carry no data, of images of a shape; none if not stated."""

@@ -26,7 +26,6 @@ from eofm.grid import (
     componentwise,
     faces,
     precision,
-    unit_spacing,
 )
 from eofm.imaging.splines import evaluate_field, resize_field
 from eofm.settings import Estimation
@@ -71,7 +70,7 @@ class Problem:
         ndim = len(shape)
         if strange := sorted(set(settings.zero_edges) - set(faces(ndim))):
             raise InputError(f"zero_edges: {strange[0]} is an edge of volumes only")
-        spacing = unit_spacing(known.sides(ndim))
+        spacing = known.spacing(ndim)
         # One scale is no multi-scale scheme, and has the pixels.
         skipped = int(settings.ends == "half" and settings.scales != 1)
         grids = pyramid(shape, settings.scales, settings.factor, spacing, skipped)
