@@ -269,7 +269,7 @@ def _unlike(summary: dict[str, Any]) -> Iterator[Finding]:
             "note",
             f"{share:.1%} of the image show what the other one does not; they were left out, and"
             " the motion there is filled in.",
-            "Where both show the same sample, it moves otherwise than was found: see the map of"
+            "Where both show the same sample, it may move otherwise than was found: see the map of"
             " trust, and press in smaller steps.",
         )
 

@@ -18,7 +18,16 @@ from eofm.flow.labels import labels
 from eofm.flow.pair import ImagePair
 from eofm.flow.problem import Improved, Level, Problem
 from eofm.flow.pyramid import largest_small
-from eofm.flow.start import alike, correlation, details, match_blocks, ratio_left, unlike
+from eofm.flow.start import (
+    Elsewhere,
+    alike,
+    correlation,
+    details,
+    elsewhere,
+    match_blocks,
+    ratio_left,
+    unlike,
+)
 from eofm.flow.trial import around
 from eofm.grid import Array, Mask, componentwise
 from eofm.imaging.intensity import normalise, normalise_locally, real
@@ -209,7 +218,7 @@ def _coarse_to_fine(
     pairs = images.pairs(problem.grids, settings, known)
     decides = settings.robust and settings.local_window is None
     first, u = (0, problem.u_bg) if start is None else (max(0, len(pairs) - FINEST), start)
-    chosen, turns = tuple[float, ...](), False
+    chosen, turns, moved = tuple[float, ...](), False, list[Elsewhere]()
     hidden = None if progress else True
     # Of small images, it is the coarser one of two.
     compared = min(largest_small(problem.grids), max(len(pairs) - 1 - FINEST, 0))
@@ -221,7 +230,7 @@ def _coarse_to_fine(
         if settings.robust and number == compared < len(pairs) - 1:
             turns = settings.alpha is None and part == 1 and misses(problem, number, pairs, u)
             u = best_start(problem, number, pairs, u)
-            u = leave_out(problem, number, pairs, u) if ndim == 2 else u
+            u, moved = leave_out(problem, number, pairs, u) if ndim == 2 else (u, moved)
     shading = 0.0
     if decides:
         coarser = pairs[max(0, len(pairs) - FINEST)]
@@ -233,9 +242,21 @@ def _coarse_to_fine(
     u = problem.carried(u, shape) / componentwise(spacing, ndim)
     # Of volumes, that what did not match at first is taken back alone.
     unlike = float((all_live[-1] & ~pair.live).mean()) if ndim == 2 else 0.0
-    width, known_edges = settings.denoising, level.stated
+    # What was found elsewhere may have been reached by finer grids.
+    astray = max((seen.astray(pair.grid.samples(u)) for seen in moved), default=0.0)
     found = Estimate(
-        u, alpha, pair, width, F, level.base, factor, left_out, spacing, known_edges, unlike=unlike
+        u,
+        alpha,
+        pair,
+        settings.denoising,
+        F,
+        level.base,
+        factor,
+        left_out,
+        spacing,
+        level.stated,
+        unlike=unlike,
+        astray=astray,
     )
     return Run(found, shading > SHADED, turns)
 
@@ -303,21 +324,29 @@ def look_again(problem: Problem, pair: ImagePair, live: Mask, u: Array) -> Image
     return replace(pair, live=pair.live | (doubted & alike(pair.I1, pair.I2, u, pair.grid, live)))
 
 
-def leave_out(problem: Problem, number: int, pairs: list[ImagePair], u: Array) -> Array:
+def leave_out(
+    problem: Problem, number: int, pairs: list[ImagePair], u: Array
+) -> tuple[Array, list[Elsewhere]]:
     """Mark what the images do not share as dead on this grid and on finer ones; the field without.
 
     The field that it has pulled hides a part of it, so it is looked for again. Near pixels that
-    are dead, coarse images are not what they seem.
+    are dead, coarse images are not what they seem. What both images show, in other places, is left
+    out as well, for a smooth field follows one motion, and returned.
     """
+    moved = list[Elsewhere]()
     whole = ~around(~(pairs[number].live & pairs[number].live_after), BESIDE)
     for _ in range(TURNS):
         pair = pairs[number]
         found = unlike(pair.I1, pair.I2, u, pair.grid, pair.live & whole)
         if found is None:
             break
+        fine = pairs[-1]
+        samples = fine.grid.samples(problem.carried(u, fine.grid.shape))
+        doubted = resized(found, fine.grid.shape) & fine.live
+        moved.append(elsewhere(fine.I1, fine.I2, samples, doubted))
         for finer in range(number, len(pairs)):
             live = pairs[finer].live & ~resized(found, pairs[finer].grid.shape)
             pairs[finer] = replace(pairs[finer], live=live)
         u = problem.level(number, pairs[number], u).improve((), False).u
         u = best_start(problem, number, pairs, u)
-    return u
+    return u, moved

@@ -60,6 +60,8 @@ class Estimate:
         0 for rows and 1 for columns of an image, 0 for slices of a volume.
     unlike : float
         Share of the pixels that show what the other image does not, and were left out.
+    astray : float
+        Share of the pixels that show what has moved by pixels otherwise than ``u`` says.
     """
 
     u: Array
@@ -74,6 +76,7 @@ class Estimate:
     stated: Mapping[Edge, Mask] = field(default_factory=dict)
     lines: tuple[int, ...] = ()
     unlike: float = 0.0
+    astray: float = 0.0
 
     @property
     def weight(self) -> float | Array:
@@ -100,7 +103,8 @@ class Estimate:
     def trust(self) -> Trust:
         """Whether the images, on the last scale, bear the estimate out."""
         said = (self.contradictions, self.spread, self.standing.pull)
-        return judge(*self.carried_back(), *said, unlike=self.unlike).on(self.u.shape[1:])
+        shares = 0.0, self.unlike, self.astray
+        return judge(*self.carried_back(), *said, *shares).on(self.u.shape[1:])
 
     @property
     def contradictions(self) -> dict[Edge, float]:

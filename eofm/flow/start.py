@@ -6,6 +6,9 @@ the other one, up to a quarter of its size away, as in particle image velocimetr
 and that of coarse to fine the one is taken after which the images correlate best.
 """
 
+from itertools import product
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
@@ -14,7 +17,7 @@ from eofm.flow.functional import Quadratic, isotropic
 from eofm.flow.multigrid import multigrid
 from eofm.grid import Array, Grid, Mask
 from eofm.imaging.gaussian import blur
-from eofm.imaging.intensity import Window
+from eofm.imaging.intensity import Window, normalise_locally
 from eofm.imaging.splines import Spline
 
 # Sides and distances of the blocks of images and of volumes, and width over which they are
@@ -36,6 +39,11 @@ PATCH, FLAT, DETAIL, MOST = 3.0, 0.01, 2.0, 0.35
 UNLIKE, UNUSUAL = (0.2, 0.4), (4.0, 8.0)
 # How much less than 1 that is at most where they are sure to show the same.
 SURE = 0.3
+# Parts that are searched for elsewhere, blocks of each, and how much of a block has to lie in one;
+# the correlation of what is found, how far from what the field says it is at least and from another
+# block at most, samples; how many blocks tell, and which part of them that the whole has moved.
+PARTS, LOOKED, HALF = 6, 24, 0.5
+FOUND, AWAY, TOGETHER, TELLING, WHOLE = 0.8, 3.0, 2.0, 3, 0.2
 TINY = 1e-12
 
 
@@ -126,6 +134,78 @@ def unlike(I1: Array, I2: Array, u: Array, grid: Grid, live: Mask) -> Mask | Non
     sure = np.unique(label[miss > certain])
     found = ndimage.binary_fill_holes(np.isin(label, sure[sure > 0]))
     return found if 0 < np.count_nonzero(found) <= MOST * found.size else None
+
+
+class Elsewhere(NamedTuple):
+    """Parts of an image that have moved otherwise than a field, and how, samples."""
+
+    where: Mask
+    samples: Array
+
+    def astray(self, samples: Array) -> float:
+        """Share of the image where a field, in samples, is far off that motion."""
+        off = ((samples - self.samples) ** 2).sum(0) > AWAY**2
+        return float((off & self.where).mean())
+
+
+def elsewhere(I1: Array, I2: Array, samples: Array, found: Mask) -> Elsewhere:
+    """Parts of a mask that show something which has moved otherwise than a field in ``samples``.
+
+    Some of their blocks are found in the second image, by motions that are alike; places move as
+    the nearest of them. What lies on one of the images alone is found nowhere, or in places that
+    have nothing in common.
+    """
+    from scipy import ndimage
+
+    label, _ = ndimage.label(found)
+    parts, sizes = ndimage.find_objects(label), np.bincount(label.ravel())[1:]
+    J1, J2 = (normalise_locally(I, (float(BLOCK[I.ndim]),) * I.ndim) - 0.5 for I in (I1, I2))
+    search, moved, samples = _Search(J2), np.zeros_like(found), samples.copy()
+    for k in np.argsort(-sizes, kind="stable")[:PARTS]:
+        inside, firsts = label == k + 1, _blocks(label == k + 1, parts[k], search)
+        motion, correlation = np.zeros((len(firsts), found.ndim)), np.zeros(len(firsts))
+        off = np.zeros_like(motion)
+        for n, first in enumerate(firsts):
+            motion[n], correlation[n] = search.find(J1, first)
+            middle = tuple(c + b // 2 for c, b in zip(first, search.block, strict=True))
+            off[n] = motion[n] - samples[:, *middle]
+        sure = (correlation > FOUND) & ((off**2).sum(1) > AWAY**2)
+        apart = np.sqrt(((motion[:, None] - motion[sure]) ** 2).sum(2))
+        sure[sure] = np.sort(apart[sure], axis=1)[:, 1:2].min(1, initial=np.inf) < TOGETHER
+        if np.count_nonzero(sure) >= TELLING:
+            if np.count_nonzero(sure) < WHOLE * len(firsts):
+                # A rim of what has moved, of a part that is on one image alone.
+                inside &= _covered(np.array(firsts)[sure], search.block, inside.shape)
+            moved |= inside
+            at = np.argwhere(inside)
+            middles = np.array(firsts)[sure] + np.array(search.block) / 2
+            nearest = ((at[:, None] - middles) ** 2).sum(2).argmin(1)
+            samples[:, *at.T] = motion[sure][nearest].T
+    return Elsewhere(moved, samples)
+
+
+def _covered(firsts: Array, block: tuple[int, ...], shape: tuple[int, ...]) -> Mask:
+    """Pixels of some blocks."""
+    covered = np.zeros(shape, dtype=bool)
+    for first in firsts:
+        sides = zip(first, block, strict=True)
+        covered[tuple(slice(c, c + b) for c, b in sides)] = True
+    return covered
+
+
+def _blocks(inside: Mask, part: tuple[slice, ...], search: "_Search") -> list[tuple[int, ...]]:
+    """First samples of some blocks of which most lies inside of a part of an image."""
+    starts = [
+        np.minimum(s.start + _starts(s.stop - s.start, b, search.stride), n - b)
+        for s, b, n in zip(part, search.block, inside.shape, strict=True)
+    ]
+
+    def share(first: tuple[int, ...]) -> float:
+        block = zip(first, search.block, strict=True)
+        return float(inside[tuple(slice(c, c + b) for c, b in block)].mean())
+
+    most = [first for first in product(*map(np.ndarray.tolist, starts)) if share(first) > HALF]
+    return most[:: max(1, -(-len(most) // LOOKED))]
 
 
 def alike(I1: Array, I2: Array, u: Array, grid: Grid, live: Mask) -> Mask:

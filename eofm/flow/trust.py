@@ -25,9 +25,10 @@ AGREED = 0.75, 0.35
 # What else raises doubts: the share of windows that contradict, the share that agree in a part of
 # the image, the median correlation, the drift of a part in px, the share of pixels that are folded
 # over, and that carry data; how far the images leave the motion open, and how much farther
-# structures of one width have moved, px; and the share of the image whose lines flicker.
+# structures of one width have moved, px; and the shares of the image whose lines flicker, and that
+# is found elsewhere.
 CONTRADICTED, PARTLY, CORRELATED, DRIFTED, FOLDED, USED = 0.05, 0.5, 0.7, 0.25, 0.005, 0.1
-OPEN, PULLED, FLICKERS = 0.3, 0.05, 0.25
+OPEN, PULLED, FLICKERS, ASTRAY = 0.3, 0.05, 0.25, 0.005
 # Slices, or rows, whose gradients are taken at once.
 SLAB = 16
 # Differences of images and displacements that are none.
@@ -68,8 +69,10 @@ class Trust:
         Share of the image whose lines flicker, and were not taken off: of tiles alone.
     unlike : float
         Share of the image that shows what the other one does not, and was left out: an instrument
-        that comes in, noise in the dark, or a part that moves otherwise than was found. It is told,
-        and no reason to doubt the rest.
+        that comes in, or noise in the dark. It is told, and no reason to doubt the rest.
+    astray : float
+        Share of the image that is found in the other one by pixels away from where the motion says:
+        an object before others, or beside a crack.
     edges : mapping of float
         By how much the images contradict the stated motion of edges, px, of those that they do.
     """
@@ -89,6 +92,7 @@ class Trust:
     pull: float
     flicker: float
     unlike: float
+    astray: float
     edges: Mapping[Edge, float] = field(default_factory=dict)
 
     def on(self, shape: tuple[int, ...]) -> "Trust":
@@ -141,6 +145,7 @@ def judge(
     pull: float = 0.0,
     flicker: float = 0.0,
     unlike: float = 0.0,
+    astray: float = 0.0,
 ) -> Trust:
     """Verdict on a displacement.
 
@@ -153,7 +158,7 @@ def judge(
     u : ndarray, shape (2, ...) or (3, ...)
         In px.
     edges : mapping of float
-    spread, pull, flicker, unlike : float
+    spread, pull, flicker, unlike, astray : float
         See :class:`Trust`.
     """
     windows = correlate(I1, warped, used)
@@ -175,6 +180,7 @@ def judge(
         pull=pull,
         flicker=flicker,
         unlike=unlike,
+        astray=astray,
         edges=edges,
     )
     said = []
@@ -195,7 +201,7 @@ def pooled(parts: Sequence[Mapping[str, Any]], voxels: Sequence[int]) -> Trust:
         return float(total / max(sum(weights), TINY))
 
     of_data = ("agreeing", "contradicting", "correlation", "empty", "spread", "pull", "flicker")
-    shares = {key: mean(key, data) for key in (*of_data, "unlike")}
+    shares = {key: mean(key, data) for key in (*of_data, "unlike", "astray")}
     shares |= {key: mean(key, voxels) for key in ("folded", "used")}
     shares["part"] = min((p["agreeing"] for p in parts if p["used"] > USED), default=1.0)
     shares["drift"] = max(part["drift"] for part in parts)
@@ -252,6 +258,12 @@ def _unlike(trust: Trust) -> list[str]:
         doubts.append(
             f"{trust.contradicting:.0%} of the image match better elsewhere; the motion may be too"
             " large, or what was stated of it wrong"
+        )
+    if trust.astray > ASTRAY:
+        doubts.append(
+            f"{trust.astray:.1%} of the image have moved elsewhere than was found, as an object"
+            " before others or beside a crack; estimate that alone (roi), mask it, or press in"
+            " smaller steps"
         )
     if trust.correlation < CORRELATED:
         doubts.append(

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import speckle as texture
 
 import eofm
 import eofm.flow.estimate
@@ -372,3 +373,28 @@ def test_motion_of_a_short_wavelength_is_found():
     u = motion(shape) + 1.2 * np.stack([np.sin(x1) * np.cos(x2), np.cos(x1) * np.sin(x2)])
     x = np.mgrid[:160, :160][::-1].astype(float)
     assert error(waves(x + u), waves(x), u) < 0.2
+
+
+@pytest.mark.parametrize("moves", [(0, 0), (-5, 9)])
+def test_an_object_that_moves_otherwise_is_told_and_one_that_appears_is_left_out(moves):
+    """Before a background at rest, whose field stays right."""
+    rng = np.random.default_rng(3)
+    ground, body, other = (texture((160, 200), rng, 2.0) for _ in range(3))
+    first, then = (np.s_[60 : 60 + 48, 80 : 80 + 56] for _ in range(2))
+    then = tuple(slice(s.start + d, s.stop + d) for s, d in zip(first, moves, strict=True))
+    I1, I2 = ground.copy(), ground.copy()
+    moving = moves != (0, 0)
+    I1[first] = body[first]
+    I2[then] = body[first] if moving else other[first]
+    I1, I2 = (I + rng.normal(0, 0.02, I.shape) for I in (I1, I2))
+    found = eofm.estimate_displacement(I1, I2)
+    away = np.ones(I1.shape, dtype=bool)
+    away[40:130, 60:160] = False
+    assert np.abs(found.u[:, away]).max() < 0.05
+    if moving:
+        assert found.astray > 0.01
+        assert found.trust.verdict == "doubtful"
+        assert [reason for reason in found.trust.reasons if "moved elsewhere" in reason]
+    else:
+        assert found.astray == 0
+        assert 0.5 * 48 * 56 < found.unlike * I1.size < 2 * 48 * 56
