@@ -56,6 +56,18 @@ def test_error_bars_have_the_size_of_the_errors(pair, found):
     assert 0.3 < within < 0.95
 
 
+@pytest.mark.parametrize("sides", [(3.0, 3.0, 60.0), (60.0, 3.0, 60.0), (3.0, 60.0, 3.0)])
+def test_flat_voxels_are_no_reason_to_fail(sides):
+    """Smoothness in true lengths alone would be 10^5 times stiffer across them than along."""
+    x3, x2, x1 = np.mgrid[:20, :30, :34]
+    u = np.stack([0.01 * x1, -0.03 * x2, 0.01 * x3 + 0.3]).astype(np.float32)
+    I1, I2, _ = eofm.make_phantom(u, eofm.Phantom(count=500, sigma=(1.3, 1.3), seed=2))
+    found = eofm.estimate_displacement(I1, I2, known=eofm.Known(pixel_size=sides))
+    assert lengths(found.u - u).mean() < 0.05
+    # No side counts as more than four times the shortest.
+    assert max(found.spacing) == pytest.approx(4 * min(found.spacing))
+
+
 def test_no_motion_gives_none(pair):
     _, I1, *_ = pair
     same = eofm.estimate_displacement(I1, I1)
