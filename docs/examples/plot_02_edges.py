@@ -20,7 +20,7 @@ before, after, _ = eofm.make_phantom(truth, eofm.Phantom(count=250, seed=1))
 # %%
 # An edge is a column (u1, u2) for each of its pixels, or one column for all of them. Here the top
 # is fixed and the bottom moved up by 3 px. Edges that are not named are free: there, the estimate
-# has natural boundary conditions, eq. (bdc_natural) of the paper. Where a component is not known it is
+# has natural boundary conditions, eq. (bdc_natural) of the paper. A component that is not known is
 # ``np.nan``: ``[[np.nan], [-3.0]]`` is a plate along which the sample slides.
 fixed, moved = np.zeros((2, 1)), np.array([[0.0], [-3.0]])
 known = {
