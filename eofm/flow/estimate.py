@@ -238,12 +238,12 @@ def _coarse_to_fine(
         # Of a volume, that would be half of the work once more.
         if ndim == 2 and shading < STEADY and (better := steady(level, u, alpha, factor)):
             pair, (u, alpha, F, _, factor) = better
+    # What was found elsewhere may have been reached by finer grids.
+    astray = max((seen.astray(pair.grid.samples(u)) for seen in moved), default=0.0)
     spacing = known.spacing(ndim)
     u = problem.carried(u, shape) / componentwise(spacing, ndim)
     # Of volumes, that what did not match at first is taken back alone.
     unlike = float((all_live[-1] & ~pair.live).mean()) if ndim == 2 else 0.0
-    # What was found elsewhere may have been reached by finer grids.
-    astray = max((seen.astray(pair.grid.samples(u)) for seen in moved), default=0.0)
     found = Estimate(
         u,
         alpha,

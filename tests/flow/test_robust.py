@@ -398,3 +398,22 @@ def test_an_object_that_moves_otherwise_is_told_and_one_that_appears_is_left_out
     else:
         assert found.astray == 0
         assert 0.5 * 48 * 56 < found.unlike * I1.size < 2 * 48 * 56
+
+
+@pytest.mark.parametrize("sides", [(1, 1), (3, 1), (1, 3)])
+def test_what_is_told_of_an_object_does_not_depend_on_the_shape_of_pixels(sides):
+    from eofm.flow.start import AWAY, Elsewhere
+
+    moved, where = np.zeros((2, 8, 10)), np.zeros((8, 10), dtype=bool)
+    moved[0], where[:4] = 12.0, True
+    seen = Elsewhere(where, moved)
+    assert seen.astray(np.zeros_like(moved)) == 0.5
+    near = moved.copy()
+    near[1] = 0.9 * AWAY
+    assert seen.astray(near) == 0
+    rng = np.random.default_rng(3)
+    ground, body = (texture((160, 200), rng, 2.0) for _ in range(2))
+    I1, I2 = ground.copy(), ground.copy()
+    I1[60:108, 80:136], I2[55:103, 89:145] = body[60:108, 80:136], body[60:108, 80:136]
+    found = eofm.estimate_displacement(I1, I2, known=eofm.Known(pixel_size=sides))
+    assert 0.01 < found.astray < 2 * 48 * 56 / I1.size
