@@ -20,6 +20,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from eofm.analysis.arrows import enlarged, motions
 from eofm.analysis.sections import Sections, picture, side
 from eofm.grid import Array
 from eofm.settings import Figures
@@ -127,10 +128,8 @@ def arrows(axis: Axes, bubbles: pd.DataFrame, shape: tuple[int, ...], settings: 
     More than ``ARROWS`` would hide the image, so some are left out then.
     """
     p, width = np.array(scale(settings, 2) * 2), shape[-1] * scale(settings, 2)[0]
-    shown = bubbles.iloc[:: max(1, -(-len(bubbles) // ARROWS))]
-    x1, x2, u1, u2 = p[:, None] * shown[["x1", "x2", "u1", "u2"]].to_numpy(float).T
-    longest = float(np.hypot(u1, u2).max(initial=1e-9))
-    factor = max((f for f in (1, 2, 5, 10, 20, 50) if f * longest <= 0.12 * width), default=1)
+    x1, x2, u1, u2 = p[:, None] * motions(bubbles, ARROWS)
+    factor = enlarged(u1, u2, width)
     style: Any = {"color": "#ff4d2e", "angles": "xy", "scale_units": "xy", "scale": 1 / factor}
     axis.quiver(
         x1, x2, u1, u2, width=0.0045, headwidth=3.5, headlength=3.5, headaxislength=3, **style

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from eofm.analysis.arrows import enlarged, motions
 from eofm.analysis.sections import picture
 from eofm.grid import Array
 
@@ -97,10 +98,8 @@ def gradient(colours: str) -> str:
 
 def motion(bubbles: pd.DataFrame, shape: tuple[int, ...]) -> tuple[str, float]:
     """Arrows of the bubbles' motions as a path in px of the image, and how often enlarged."""
-    shown = bubbles.iloc[:: max(1, -(-len(bubbles) // ARROWS))]
-    x, y, u, v = shown[["x1", "x2", "u1", "u2"]].to_numpy(float).T
-    longest = float(np.hypot(u, v).max(initial=1e-9))
-    factor = max((f for f in (1, 2, 5, 10, 20, 50) if f * longest <= 0.12 * shape[1]), default=1)
+    x, y, u, v = motions(bubbles, ARROWS)
+    factor = enlarged(u, v, shape[1])
     paths = []
     for x0, y0, dx, dy in zip(x + 0.5, y + 0.5, factor * u, factor * v, strict=True):
         x1, y1 = x0 + dx, y0 + dy

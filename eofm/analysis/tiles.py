@@ -14,7 +14,7 @@ from eofm import io
 from eofm.analysis.plan import Plan, planned
 from eofm.analysis.work import Work, read_choice
 from eofm.errors import InputError
-from eofm.flow.estimate import best_start
+from eofm.flow.coarse import best_start
 from eofm.flow.images import FINEST
 from eofm.flow.problem import nothing
 from eofm.flow.pyramid import largest_small

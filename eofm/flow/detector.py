@@ -9,8 +9,8 @@ import numpy as np
 
 from eofm.flow.found import Estimate
 from eofm.flow.images import resized
+from eofm.flow.likeness import left
 from eofm.flow.pair import LIVE
-from eofm.flow.start import left
 from eofm.grid import Array, Mask
 from eofm.imaging.flicker import flickers, in_both, level, without_changes
 from eofm.imaging.lines import Lines, lines, means_along, without

@@ -9,13 +9,13 @@ from itertools import islice
 import numpy as np
 
 from eofm.flow.functional import Quadratic
+from eofm.flow.likeness import difference
 from eofm.flow.matching import Match
 from eofm.flow.pair import ImagePair
 from eofm.flow.standing import Standing, standing
-from eofm.flow.start import difference
 from eofm.flow.stated import contradictions
 from eofm.flow.trial import reach
-from eofm.flow.trust import Trust, judge
+from eofm.flow.trust import Told, Trust, judge
 from eofm.flow.uncertainty import Errors
 from eofm.flow.windows import length
 from eofm.grid import Array, Edge, Mask, componentwise
@@ -102,9 +102,14 @@ class Estimate:
     @cached_property
     def trust(self) -> Trust:
         """Whether the images, on the last scale, bear the estimate out."""
-        said = (self.contradictions, self.spread, self.standing.pull)
-        shares = 0.0, self.unlike, self.astray
-        return judge(*self.carried_back(), *said, *shares).on(self.u.shape[1:])
+        told = Told(
+            self.contradictions,
+            self.spread,
+            self.standing.pull,
+            unlike=self.unlike,
+            astray=self.astray,
+        )
+        return judge(*self.carried_back(), told).on(self.u.shape[1:])
 
     @property
     def contradictions(self) -> dict[Edge, float]:

@@ -20,7 +20,7 @@ from eofm.flow.pair import ImagePair
 from eofm.flow.problem import ROUGH, Level, Problem, nothing
 from eofm.flow.tiles import Tile, Window, shape_of
 from eofm.flow.trial import RIDGE, Blocks, Trial, enough, first_alpha, folds
-from eofm.flow.trust import Trust, judge
+from eofm.flow.trust import Told, Trust, judge
 from eofm.flow.weight import best_weight
 from eofm.grid import Array, Edge, Grid, Mask, faces
 from eofm.imaging.greys import grown
@@ -285,6 +285,6 @@ def solve(scale: Scale, tile: Tile, start: Array, choice: Choice, draws: int, se
     deviation = found.deviation(draws, seed) if draws else None
     I1, warped, used, moved = found.carried_back()
     inner = tile.inner
-    said = (found.contradictions, found.spread, found.standing.pull, float(found.flickers))
-    trust = judge(I1[inner], warped[inner], used[inner], moved[:, *inner], *said)
+    told = Told(found.contradictions, found.spread, found.standing.pull, float(found.flickers))
+    trust = judge(I1[inner], warped[inner], used[inner], moved[:, *inner], told)
     return Solved(u, trust, deviation)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from eofm.flow.start import difference
+from eofm.flow.likeness import difference
 from eofm.grid import Array, Mask
 from eofm.imaging.gaussian import blur
 from eofm.imaging.splines import gradient

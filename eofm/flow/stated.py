@@ -5,10 +5,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from eofm.flow.functional import ORDERS, Pointwise, Quadratic, unit
+from eofm.flow.functional import Pointwise, Quadratic, unit
 from eofm.flow.matching import Match
 from eofm.flow.multigrid import multigrid
-from eofm.flow.trial import RIDGE
+from eofm.flow.trial import RIDGE, reach
 from eofm.grid import FACES, Array, Edge, Grid, Mask, along_face, faces
 
 # Least samples beside an edge on which the images are compared.
@@ -69,21 +69,17 @@ def contradictions(
     other = multigrid(free, change=ACCURACY, initial=v)
     left = match.residual(base + other) ** 2 * match.used
     gained = match.residual(base + v) ** 2 * match.used - left
-    # Samples over which the weight smooths, see :func:`eofm.flow.trial.reach`.
-    order = 2 * ORDERS[F.smoothness]
-    reach = (F.alpha / (match.strength + TINY)) ** (1 / order) / grid.side
     # A field that cannot but be affine follows as much as in two patches along each axis.
-    reach = min(max(reach, LEAST), min(grid.shape) / 2)
+    patch = min(max(reach(match, F.alpha, F.smoothness), LEAST), min(grid.shape) / 2)
+    rows, followed = round(patch), grid.ndim / patch**grid.ndim
     difference = grid.samples(other - v)
     for edge, where in stated.items():
         face = FACES[edge]
         d = difference[:, *face.pixels(grid.ndim)][where]
         rms = math.sqrt(np.mean(d**2)) if d.size else 0.0
-        rows = round(reach)
         part = [slice(None)] * grid.ndim
         part[face.axis(grid.ndim)] = slice(-rows, None) if face.last else slice(rows)
         beside = tuple(part)
-        followed = grid.ndim / reach**grid.ndim
         more = gained[beside].sum() / (followed * left[beside].sum() + TINY)
         if rms > max(FAR, OPEN * spread) or (rms > NONE and more > MORE):
             off[edge] = rms

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from eofm.flow.functional import Pointwise, Quadratic, unit
+from eofm.flow.functional import ORDERS, Pointwise, Quadratic, unit
 from eofm.flow.hierarchy import CoarseTerms, hierarchy
 from eofm.flow.matching import BLOCK, Match, held_out
 from eofm.flow.multigrid import multigrid
@@ -38,9 +38,10 @@ def first_alpha(match: Match) -> float:
     return (match.strength + np.finfo(float).tiny) * (REACH * match.grid.side) ** 4
 
 
-def reach(match: Match, alpha: float) -> float:
+def reach(match: Match, alpha: float, smoothness: str = "bending") -> float:
     """Samples over which a weight smooths: those of `first_alpha` are REACH."""
-    return float((alpha / (match.strength + TINY)) ** 0.25 / match.grid.side)
+    power = 1 / (2 * ORDERS[smoothness])
+    return float((alpha / (match.strength + TINY)) ** power / match.grid.side)
 
 
 def enough(shape: tuple[int, ...], finest: bool) -> bool:

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import reduce
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -112,6 +112,17 @@ class Trust:
         return {"verdict": self.verdict, "reasons": list(self.reasons), **numbers, **edges}
 
 
+class Told(NamedTuple):
+    """What is known of an estimate beside windows of its images, see :class:`Trust`."""
+
+    edges: Mapping[Edge, float] = MappingProxyType({})
+    spread: float = 0.0
+    pull: float = 0.0
+    flicker: float = 0.0
+    unlike: float = 0.0
+    astray: float = 0.0
+
+
 def folds(u: Array) -> float:
     """Share of the pixels where ``det(I + grad u) <= 0``, for ``u`` in px."""
     count, n = 0, u.shape[1]
@@ -140,12 +151,7 @@ def judge(
     warped: Array,
     used: Mask,
     u: Array,
-    edges: Mapping[Edge, float] = MappingProxyType({}),
-    spread: float = 0.0,
-    pull: float = 0.0,
-    flicker: float = 0.0,
-    unlike: float = 0.0,
-    astray: float = 0.0,
+    told: Told = Told(),
 ) -> Trust:
     """Verdict on a displacement.
 
@@ -157,9 +163,7 @@ def judge(
         Pixels that carry data: neither dead nor moved out of the image.
     u : ndarray, shape (2, ...) or (3, ...)
         In px.
-    edges : mapping of float
-    spread, pull, flicker, unlike, astray : float
-        See :class:`Trust`.
+    told : Told
     """
     windows = correlate(I1, warped, used)
     known = np.isfinite(windows.here)
@@ -176,12 +180,7 @@ def judge(
         folded=folds(u),
         used=float(used.mean()),
         empty=float(windows.empty.sum() / max(int((known | windows.empty).sum()), 1)),
-        spread=spread,
-        pull=pull,
-        flicker=flicker,
-        unlike=unlike,
-        astray=astray,
-        edges=edges,
+        **told._asdict(),
     )
     said = []
     if np.allclose(I1, warped, atol=SAME) and np.allclose(u, 0, atol=SAME):

@@ -7,7 +7,7 @@ from test_robust import SHAPE, motion, speckle
 import eofm
 import eofm.flow.detector
 from eofm.flow.detector import without_lines_that_stay
-from eofm.flow.start import left
+from eofm.flow.likeness import left
 from eofm.imaging.flicker import flickers, level, without_changes
 from eofm.imaging.lines import Lines, lines, means_along, without
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import eofm
-from eofm.flow.start import ratio_left
+from eofm.flow.likeness import ratio_left
 
 PERIOD = 5.0
 

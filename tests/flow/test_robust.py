@@ -7,9 +7,10 @@ from conftest import speckle as texture
 import eofm
 import eofm.flow.estimate
 import eofm.grid
+from eofm.flow.likeness import unlike
 from eofm.flow.matching import Overall
 from eofm.flow.pair import brightness
-from eofm.flow.start import consistent, match_blocks, unlike
+from eofm.flow.start import consistent, match_blocks
 from eofm.grid import Grid
 from eofm.imaging.defects import Levels, defects, defects_by_kind
 from eofm.imaging.intensity import Window, normalise_locally
@@ -402,7 +403,7 @@ def test_an_object_that_moves_otherwise_is_told_and_one_that_appears_is_left_out
 
 @pytest.mark.parametrize("sides", [(1, 1), (3, 1), (1, 3)])
 def test_what_is_told_of_an_object_does_not_depend_on_the_shape_of_pixels(sides):
-    from eofm.flow.start import AWAY, Elsewhere
+    from eofm.flow.elsewhere import AWAY, Elsewhere
 
     moved, where = np.zeros((2, 8, 10)), np.zeros((8, 10), dtype=bool)
     moved[0], where[:4] = 12.0, True
